@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from drivers.recording_format import Recording, read_recording
     from drivers.recording_format.export import export
     from drivers.recording_format.repair import repair
+    from drivers.simulated.buses import SimulatedAmt21, SimulatedAscii, SimulatedCan, SimulatedModbus
     from drivers.simulated.simulate import SimulatedMotion, simulate_bench
 
 _HOMES = {
@@ -38,6 +39,7 @@ _HOMES = {
     "recording_format": ("Recording", "read_recording"),
     "recording_format.export": ("export",),
     "recording_format.repair": ("repair",),
+    "simulated.buses": ("SimulatedAmt21", "SimulatedAscii", "SimulatedCan", "SimulatedModbus"),
     "simulated.simulate": ("SimulatedMotion", "simulate_bench"),
 }
 
@@ -46,6 +48,10 @@ __all__ = [
     "Encoder",
     "EncoderError",
     "Recording",
+    "SimulatedAmt21",
+    "SimulatedAscii",
+    "SimulatedCan",
+    "SimulatedModbus",
     "SimulatedMotion",
     "export",
     "list_connections",

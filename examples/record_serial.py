@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 
 import drivers
-from drivers.simulated.buses import SimulatedAscii
 
 OUT = Path("record_serial_out")
 
@@ -26,7 +25,7 @@ def main() -> None:
         torque=0.0,
         turns=3,
         motion=drivers.SimulatedMotion(samples_per_turn=200),
-        bus=SimulatedAscii(clock_drift=50e-6),
+        bus=drivers.SimulatedAscii(clock_drift=50e-6),
     )
     with counter:
         wiring = counter.write_wiring(OUT / "bench.toml")

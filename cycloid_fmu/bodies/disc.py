@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 from scipy.interpolate import CubicSpline
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from cycloid_fmu import edge
 from cycloid_fmu.bodies import outline
@@ -284,7 +284,7 @@ def _flank_track(pair: Pair, disc: int, matrix: PortMatrix, source: str) -> Trac
     alpha = np.linspace(0.0, 2.0 * np.pi, teeth * 500, endpoint=False)
     dense, _ = outline.flank_at(pair, disc, alpha)
     place = matrix.place[ports[::2]]
-    distance, nearest = cKDTree(np.column_stack([dense.real, dense.imag])).query(
+    distance, nearest = KDTree(np.column_stack([dense.real, dense.imag])).query(
         np.column_stack([place.real, place.imag])
     )
     spacing = float(np.abs(np.diff(dense)).sum()) / (teeth * count)

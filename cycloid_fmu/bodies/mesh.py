@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import Delaunay, QhullError, cKDTree
+from scipy.spatial import Delaunay, KDTree, QhullError
 
 from cycloid_fmu import edge
 
@@ -148,7 +148,7 @@ class _Size:
     """Size of triangles near each point: that of the nearest edge, growing with the distance from it."""
 
     def __init__(self, middles: Points, lengths: Array, largest: float, growth: float) -> None:
-        self._tree, self._lengths = cKDTree(_columns(middles)), lengths
+        self._tree, self._lengths = KDTree(_columns(middles)), lengths
         self._largest, self._growth = largest, growth
 
     def at(self, points: Points) -> Array:
@@ -213,8 +213,8 @@ def _too_long(pieces: Sequence[Points]) -> NDArray[np.bool_]:
     """Whether to divide each edge of all pieces: for a node in its diametral circle, or much shorter edges nearby."""
     middles = np.concatenate([0.5 * (points[1:] + points[:-1]) for points in pieces])
     lengths = np.concatenate([np.abs(np.diff(points)) for points in pieces])
-    nearest, _ = cKDTree(_columns(np.concatenate([points[:-1] for points in pieces]))).query(_columns(middles))
-    distance, near = cKDTree(_columns(middles)).query(_columns(middles), k=min(_NEIGHBOURS, middles.size))
+    nearest, _ = KDTree(_columns(np.concatenate([points[:-1] for points in pieces]))).query(_columns(middles))
+    distance, near = KDTree(_columns(middles)).query(_columns(middles), k=min(_NEIGHBOURS, middles.size))
     graded = (2.0 * lengths[near] + distance).min(axis=1)
     return np.asarray((nearest < 0.4995 * lengths) | (lengths > graded))
 

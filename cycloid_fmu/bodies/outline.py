@@ -245,7 +245,7 @@ def _dense(hole: Contour, step: float) -> Points:
 
 def _apart(a: Points, b: Points) -> float:
     """Smallest distance of the points of two curves, m."""
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     columns = (np.column_stack([points.real, points.imag]) for points in (a, b))
-    return float(cKDTree(next(columns)).query(next(columns))[0].min())
+    return float(KDTree(next(columns)).query(next(columns))[0].min())

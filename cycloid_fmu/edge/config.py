@@ -147,8 +147,11 @@ def _keys(model: type[pydantic.BaseModel], place: Sequence[int | str]) -> list[s
     return [field.alias or name for one in models for name, field in one.model_fields.items()]
 
 
-def _tables_with(model: type[pydantic.BaseModel], key: str) -> str:
-    """Return "it belongs to …" with the tables of a file that have a key, or "" if none has it."""
+def _tables_with(model: type[pydantic.BaseModel], key: str, table: str) -> str:
+    """Return "it belongs to …" with the tables of a file that have a key, or "" if none has it.
+
+    Where tables inside the one in which it stands have it, those are meant.
+    """
     found = list[str]()
 
     def look(one: type[pydantic.BaseModel], title: str, depth: int, repeated: bool) -> None:
@@ -161,7 +164,8 @@ def _tables_with(model: type[pydantic.BaseModel], key: str) -> str:
                 look(table, below, depth + 1, kind in (list, tuple))
 
     look(model, "", 0, False)
-    *others, last = tables = list(dict.fromkeys(found)) or [""]
+    inside = [title for title in found if table and title.lstrip("[").startswith(f"{table}.")]
+    *others, last = tables = list(dict.fromkeys(inside or found)) or [""]
     if len(tables) > _MOST_TABLES:
         return f"it belongs to a table such as {tables[0]}."
     return f"it belongs to {', '.join(others)}{' or ' if others else ''}{last}." if found else ""
@@ -178,7 +182,10 @@ def _sentence(error: Any, model: type[pydantic.BaseModel], source: str) -> str:
     if kind == "missing":
         return f"{source}: {field} is missing."
     if kind == "extra_forbidden":
-        near = _tables_with(model, str(place[-1])) or did_you_mean(str(place[-1]), _keys(model, place[:-1]))
+        key, keys = str(place[-1]), _keys(model, place[:-1])
+        # A plural for a singular is a slip in this table, whatever other tables have.
+        near = did_you_mean(key, [known for known in keys if known in (f"{key}s", key.removesuffix("s"))])
+        near = near or _tables_with(model, key, ".".join(tables)) or did_you_mean(key, keys)
         near = near or "check its spelling or remove it."
         return f"{source}: {field} is not a known key; {near}"
     message = message.removeprefix("Value error, ").removeprefix("Input should be ").removesuffix(".")

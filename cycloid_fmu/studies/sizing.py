@@ -28,6 +28,7 @@ from cycloid_fmu.geometry.pair import LEAST_TEETH, MOST_TEETH, Pair, PositiveTor
 from cycloid_fmu.geometry.processes import PROCESSES, Process, standard_tolerance
 from cycloid_fmu.geometry.supports import Supports
 from cycloid_fmu.studies.design import DesignTask, search
+from cycloid_fmu.studies.tolerance import Study, exact_figures, points, surface_of
 from cycloid_fmu.surfaces.sampling import Tolerances, parse_tolerances
 from cycloid_fmu.surfaces.surface import surface_of_pair
 
@@ -58,7 +59,9 @@ _CURVATURE = 1.3  # least curvature radius of the pin centre's path relative to 
 _MODIFICATION = 4.0  # range of the modification relative to the tolerance of a position
 _USUAL_CLEARANCE = 1.1  # isometric modification that a search ends with, relative to the tolerance of a position
 _YIELD = 0.95  # of drives of the process that must turn freely
-_SAMPLES = 64
+_SAMPLES, _JUDGED = 64, 128  # drives of each round of the search, and of those that decide
+_SEED, _ANGLES = 2, 90  # of these
+_STEP = 0.02  # step of the clearance relative to its range
 _LARGEST_WIDTH = 0.3  # of all discs together relative to the outer diameter
 _LEAST_WIDTH = 2e-3  # m
 _OUTPUT_PINS = ((6, 8, 5, 4), (10, 12))  # numbers in the order of preference; many small ones only if few do not fit
@@ -66,6 +69,7 @@ _TRIALS = 5  # doublings of the diameter or quarterings of the torque, and bisec
 _WIDENED = 5  # times that the face width is adapted to the bearings
 _SAFETY = 1.5  # of output pins against bending fatigue
 _OUTPUT_STEEL = "case-hardened steel"
+_AS_WIDE = "as wide as the eccentric bearing"
 _SHEAR = 30e6  # Pa: of the crank, as in handbooks for shafts whose bending is not known yet
 _BEARING_SPEED, _BEARING_LOAD = 2.0, 0.0007  # f_0 and f_1 of deep groove bearings with grease (Palmgren)
 
@@ -321,6 +325,8 @@ def _sized(wish: Wish, progress: Callable[[str], None], search_modification: boo
         progress("output and bearings")
         output, pair = _held(wish, pair, process, limit.pressure)
         reasons |= output.reasons
+        if pair.face_width == output.bearing_width:
+            reasons["pair.face_width"] = _AS_WIDE
         notes += output.notes
         return Sizing(wish, pair, tolerances, reasons, tuple(notes), output.bearing_seat)
     notes.append('output = "ring": bearings and output are not modelled, so neither sized here; no losses.')
@@ -340,13 +346,25 @@ def _modified(pair: Pair, tolerances: Tolerances, process: Process, progress: Ca
     start = pair.replace(isometric=0.5 * most, offset=-0.25 * most)
     progress("modification")
     (found,) = search(start, task, tolerances, starts=0)
-    if not found.met:
-        share = found.yields["all"]["share"]
-        raise _TooSmallError(
-            f"with what the process holds, {share:.0%} of drives turn freely at the largest modification, "
-            f"{most * 1e6:.0f} µm"
-        )
-    return found.pair
+    pair = found.pair
+    # The search has its own drives; others decide, and a step more of clearance where too few of them turn.
+    while (share := _free(pair, tolerances)) < _YIELD:
+        larger = pair.modification.isometric + _STEP * most
+        if larger > most:
+            raise _TooSmallError(
+                f"with what the process holds, {share:.0%} of drives turn freely at the largest modification, "
+                f"{most * 1e6:.0f} µm"
+            )
+        pair = pair.replace(isometric=round(larger, 9))
+    return pair
+
+
+def _free(pair: Pair, tolerances: Tolerances) -> float:
+    """Return the share of sampled drives that turn without interference."""
+    study = Study(pair, tolerances, samples=_JUDGED, seed=_SEED, torque=(pair.rated_load(),), angles=_ANGLES)
+    interference = [name for name, _ in study.columns].index("interference")
+    surfaces = [surface_of(study, point) for point in points(study)]
+    return float((exact_figures(study, surfaces)[:, interference] <= 0.0).mean())
 
 
 def _wide_enough(
@@ -354,7 +372,7 @@ def _wide_enough(
 ) -> tuple[Pair, str]:
     """Return the pair with the least face width at which the pressure is permitted, and why it is that."""
     least = max(_LEAST_WIDTH, process.wall)
-    most = _LARGEST_WIDTH * wish.outer_diameter / wish.discs
+    most = _widest(wish)
     reached = largest_pressure(pair.replace(face_width=most))
     if reached > pressure:
         raise _TooSmallError(
@@ -371,14 +389,23 @@ def _wide_enough(
     return found.pair.replace(face_width=_half_mm(needed)), why
 
 
+def _widest(wish: Wish) -> float:
+    """Return the largest face width of a disc, m."""
+    return _LARGEST_WIDTH * wish.outer_diameter / wish.discs
+
+
 class _Output(NamedTuple):
-    """Supports and losses of a drive with output pins, with their reasons and notes, and the eccentric's seat, m."""
+    """Supports and losses of a drive with output pins, with their reasons and notes.
+
+    The last two are the radius of the eccentric bearing's seat in the discs, and the bearing's width, m.
+    """
 
     supports: Supports
     losses: Losses
     reasons: dict[str, str]
     notes: list[str]
     bearing_seat: float
+    bearing_width: float
 
 
 def _output(wish: Wish, pair: Pair, process: Process) -> _Output:
@@ -399,7 +426,7 @@ def _output(wish: Wish, pair: Pair, process: Process) -> _Output:
     allowed = strength[0] / _SAFETY
     for counts, bearing in itertools.product(_OUTPUT_PINS, reversed(_BALL_BEARINGS)):
         bore, outside, ball_width, _ = bearing
-        if 0.5e-3 * bore < shaft + e + 1e-3 or 1e-3 * ball_width > pair.face_width + 2e-3:
+        if 0.5e-3 * bore < shaft + e + 1e-3 or 1e-3 * ball_width > _widest(wish):
             continue
         inner, room = 0.5e-3 * outside + wall, 0.5 * (root - 0.5e-3 * outside) - wall
         circle = round(0.5 * (inner + root - wall), 4)
@@ -418,9 +445,12 @@ def _output(wish: Wish, pair: Pair, process: Process) -> _Output:
 
 def _held(wish: Wish, pair: Pair, process: Process, pressure: float) -> tuple[_Output, Pair]:
     """Return output and bearings, and the drive on them, as much wider as their play and give make necessary."""
-    most = _LARGEST_WIDTH * wish.outer_diameter / wish.discs
+    most = _widest(wish)
     for _ in range(_WIDENED):
         output = _output(wish, pair, process)
+        if pair.face_width < output.bearing_width:
+            pair = pair.replace(face_width=output.bearing_width)
+            continue
         held = pair.replace(supports=output.supports, losses=output.losses)
         reached = largest_pressure(held)
         if reached <= pressure:
@@ -449,7 +479,7 @@ def _with_output(
     force: float,
     length: float,
 ) -> _Output:
-    bore, outside, _, capacity = bearing
+    bore, outside, ball_width, capacity = bearing
     process = PROCESSES[wish.process]
     arm_force = 1.25 * wish.torque / (pair.discs * pair.eccentricity * pair.gear_teeth)
     stiffness = _ball_bearing_stiffness(arm_force, 1e-3 * bore, 1e-3 * outside)
@@ -495,7 +525,7 @@ def _with_output(
     ]
     if clearance > 2e-4:
         notes.append(f"The clearance of the output holes would be {clearance * 1e6:.0f} µm; the model ends at 200 µm.")
-    return _Output(supports, losses, reasons, notes, 0.5e-3 * outside)
+    return _Output(supports, losses, reasons, notes, 0.5e-3 * outside, 1e-3 * ball_width)
 
 
 def _three(value: float) -> float:
@@ -537,26 +567,30 @@ def _friction_of(material: str) -> str:
 def _nearest(wish: Wish, progress: Callable[[str], None]) -> str:
     """Return what is possible instead, as sentences: a larger drive, and a smaller torque."""
 
-    def fits(**changes: float) -> bool:
+    def refused(**changes: float) -> str:
         try:
             _sized(wish.replace(**changes), lambda step: None, search_modification=False)
-        except edge.InputError:
-            return False
-        return True
+        except edge.InputError as problem:
+            return str(problem)
+        return ""
 
     said = []
     for name, unit, factor, step in (("outer_diameter", "mm", 1e3, 2.0), ("torque", "N*m", 1.0, 0.25)):
         word, wished = name.replace("_", " "), getattr(wish, name)
         progress(f"nearest possible {word}")
-        impossible, possible = 0.0, next((k for k in range(1, _TRIALS + 1) if fits(**{name: wished * step**k})), 0)
+        trials = range(1, _TRIALS + 1)
+        impossible, possible = 0.0, next((k for k in trials if not refused(**{name: wished * step**k})), 0)
         if not possible:
-            end = wished * step**_TRIALS * factor
-            said.append(f"No {word} {'up' if step > 1.0 else 'down'} to {end:.2g} {unit} is enough.")
+            end = wished * step**_TRIALS
+            still = refused(**{name: end}).rstrip(".")
+            said.append(f"At {end * factor:.2g} {unit} of {word}, {still}.")
             continue
         impossible, nearest = possible - 1.0, float(possible)
         for _ in range(_TRIALS):
             middle = 0.5 * (impossible + nearest)
-            impossible, nearest = (impossible, middle) if fits(**{name: wished * step**middle}) else (middle, nearest)
+            impossible, nearest = (
+                (middle, nearest) if refused(**{name: wished * step**middle}) else (impossible, middle)
+            )
         said.append(f"About {wished * step**nearest * factor:.3g} {unit} of {word} would be possible.")
     return " ".join(said)
 

@@ -46,8 +46,8 @@ class Elastic(NamedTuple):
     influence
         Of the bodies.
     ports
-        `PORT`s of each disc's joints and contact rows, then of the others, shape (ports,). `joint` is a joint's or
-        a row's number; ports of different `block`s do not displace each other.
+        Records `PORT` of each disc's joints and contact rows, then of the others, shape (ports,). `joint` is the number
+        of a joint or row; ports with different `block` do not displace each other.
     of_row
         Port of each contact row, shape (rows,).
     first, ports_of_joint

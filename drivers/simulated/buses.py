@@ -46,6 +46,12 @@ class SimulatedCan(SimulatedBus):
     clock_drift
         Virtual and loopback bus: relative drift of the interface's own clock, which counts from power-up, against the
         host's, such as 50e-6, > 0: fast. Absent: the interface has no clock.
+
+    Examples
+    --------
+    >>> import drivers
+    >>> drivers.SimulatedCan(trigger="timer", clock_drift=50e-6).interface
+    'loopback'
     """
 
     interface: str = "loopback"
@@ -76,6 +82,12 @@ class SimulatedAmt21(SimulatedBus):
         Whether they count turns.
     baud_rate
         Bit rate of the line, bit/s.
+
+    Examples
+    --------
+    >>> import drivers
+    >>> drivers.SimulatedAmt21(bits=12, multi_turn=True).addresses
+    (84, 88)
     """
 
     addresses: tuple[int, int] = (0x54, 0x58)
@@ -95,6 +107,12 @@ class SimulatedModbus(SimulatedBus):
         Their resolution.
     baud_rate
         Bit rate of the line, bit/s.
+
+    Examples
+    --------
+    >>> import drivers
+    >>> drivers.SimulatedModbus(counts_per_turn=1 << 20).baud_rate
+    115200
     """
 
     addresses: tuple[int, int] = (1, 2)
@@ -113,6 +131,12 @@ class SimulatedAscii(SimulatedBus):
         Relative drift of its clock against the host's, > 0: fast.
     baud_rate
         Bit rate of the line, bit/s.
+
+    Examples
+    --------
+    >>> import drivers
+    >>> drivers.SimulatedAscii(clock_drift=50e-6).counts_per_turn
+    360000
     """
 
     counts_per_turn: Annotated[int, pydantic.Field(gt=1)] = 360_000

@@ -14,6 +14,7 @@ from fitting.estimation.fit import Estimate
 from fitting.estimation.parameter import NORMAL, Parameter, parameter
 from fitting.model.bearings import as_stated, is_logarithmic, unit_of_bearing
 from fitting.model.discrepancy import LAG, by_lag
+from fitting.model.losses import SCATTER_OF_COEFFICIENTS, is_coefficient
 from fitting.model.observations import MISFIT, Linear, Observations, form_columns
 from fitting.model.prior import tolerances_of
 
@@ -105,12 +106,13 @@ def form_note(parameters: Sequence[Parameter], form: float) -> list[str]:
 def bearings_found(
     pair: Pair, observed: Observations, changes: Array, deviations: Sequence[float] | Array
 ) -> list[Parameter]:
-    """Return the results for the bearings: a stiffness' interval is that of its logarithm."""
+    """Return the results for bearings and friction: those of stiffnesses and coefficients are of their logarithms."""
     found, names = [], observed.bearing_names
     values = as_stated(pair, changes, observed.first_stage)
     for name, value, sigma, before in zip(names, values, deviations, observed.bearing_prior, strict=True):
         is_share = is_logarithmic(name)
         scale = value if is_share else 1.0
+        sigma *= SCATTER_OF_COEFFICIENTS if is_coefficient(name) else 1.0
         reach = NORMAL * sigma
         interval = (
             (value * math.exp(-reach), value * math.exp(reach))

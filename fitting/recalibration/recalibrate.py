@@ -243,7 +243,7 @@ def _sized(name: str, value: float) -> str:
     if name.endswith("_stiffness"):
         return f"{value:+.1%}"
     is_bearing = name.rpartition("_")[2] in ("clearance", "play")
-    unit = "m" if "_at_" in name else unit_of_bearing(name) if is_bearing else unit_of(name)
+    unit = unit_of_bearing(name) if is_bearing else unit_of(name.partition("_at_")[0])
     return f"{value * 1e6:+.2f} µm" if unit == "m" else f"{value * 1e3:+.3f} mrad"
 
 

@@ -86,7 +86,7 @@ def test_an_analysis_agrees_with_an_independent_solver(name):
         rigid = cy.Drive(pair.replace(bodies=None)).analyze(result["torque"], crank_angle=angles)
         moved = np.abs(np.array(want["transmission_error"]) - rigid.transmission_error.values[0])
         error = np.abs(data.transmission_error.values[0] - want["transmission_error"])
-        assert (error < np.maximum(0.05 / cy.ARCSEC, 3e-3 * moved)).all()
+        assert (error < np.maximum(0.05 / cy.ARCSEC, 4e-3 * moved)).all()
         assert data.torsional_stiffness.values[0] == pytest.approx(want["torsional_stiffness"], rel=5e-3)
         for force, share in (
             ("pin_force", 5e-3),

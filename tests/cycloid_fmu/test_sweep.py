@@ -220,7 +220,8 @@ def test_every_number_of_a_pair_file_can_be_varied():
         assert value == (edge.parse_quantity(text, si) if si != "1" else float(text)), name
         set_.append(name)
     assert all(name.split(".")[1] in said or "misalignment" in name for name, said in refused.items()), refused
-    assert len(set_) > 0.7 * len(known_names())
+    # This drive has no [bodies]; each of their numbers is refused with the table that is missing.
+    assert len(set_) > 0.7 * sum(not name.startswith("bodies.") for name in known_names())
 
 
 @pytest.mark.parametrize(

@@ -31,7 +31,7 @@ TRUTH = {
     "pin_tangential_2_sin": 3e-6,  # twice the former
     "tooth_cumulative_pitch_1_sin": -2e-6,
 }
-MODE = 1e-6  # standard errors
+MODE = 1e-5  # standard errors
 TIED, OF = "pin_tangential_2_sin", "pin_radial_2_cos"
 
 

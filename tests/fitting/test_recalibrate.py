@@ -34,7 +34,7 @@ from fitting.recalibration.figures import figures_of
 from fitting.recalibration.files import as_json, read_recalibration, write_recalibration
 from fitting.recalibration.measured import LostMotion, observed_in_place, quantised
 from fitting.recalibration.plan import plan_visit
-from fitting.recalibration.recalibrate import recalibrate
+from fitting.recalibration.recalibrate import alarm_of, recalibrate
 from fitting.recalibration.update import updated
 
 
@@ -409,3 +409,11 @@ def test_lives_of_drives_stay_within_their_intervals():
     assert np.sqrt(np.mean(away**2)) < 1.25
     alarms = sum(bool(one.alarm) for found, _ in lives for one in found)
     assert alarms <= 2
+
+
+def test_an_alarm_states_a_cranks_phase_as_an_angle(case):
+    moved = {"crank_phase_at_0": (5.7e-5, 7.0), "crank_throw_at_0": (2e-6, 6.0)}
+    found = updated(observed_in_place([], [LostMotion(1e-3, 6.0, 6.0)], fitted_drive(case[0])))
+    said = alarm_of(dataclasses.replace(found, moved=moved, drift_chance=0.0), ())
+    assert "crank_phase_at_0 by +0.057 mrad" in said
+    assert "crank_throw_at_0 by +2.00 µm" in said
