@@ -40,7 +40,7 @@ def new(
 ) -> None:
     """A first drive from ratio, diameter, torque, material and process, with its figures and their ranges.
 
-    Example: [cyan]cycloid-fmu new --ratio 15 --outer-diameter "70 mm" --torque "20 N*m" --material POM --process CNC[/]
+    Example: [cyan]cycloid-fmu new --ratio 15 --outer-diameter "70 mm" --torque "15 N*m" --material POM --process CNC[/]
     """
     from cycloid_fmu.studies.sized_figures import figures_of
     from cycloid_fmu.studies.sizing import Wish, size, write_sizing

@@ -36,6 +36,7 @@ from cycloid_fmu.edge.config import (
 from cycloid_fmu.edge.file_kinds import check_format, wrong_kind
 from cycloid_fmu.edge.files import (
     PICTURES,
+    created_folder,
     csv_rows,
     decoded,
     existing,
@@ -67,6 +68,7 @@ from cycloid_fmu.edge.problems import (
     InputError,
     InputWarning,
     NoDataError,
+    check_named,
     did_you_mean,
     first_line,
     listed,
@@ -128,6 +130,8 @@ __all__ = [
     "cached",
     "call_limited",
     "check_format",
+    "check_named",
+    "created_folder",
     "csv_rows",
     "decoded",
     "did_you_mean",

@@ -322,6 +322,22 @@ def naming(path: str | os.PathLike[str]) -> Iterator[None]:
         raise OSError(problem.errno, os.strerror(problem.errno), str(path)) from problem
 
 
+def created_folder(path: str | os.PathLike[str]) -> Path:
+    """Return a folder for results, which is created if it is missing.
+
+    Raises
+    ------
+    InputError
+        If it can't be created.
+    """
+    folder = Path(path)
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as failure:
+        raise InputError(f"{path}: it can't be created as a folder: {failure.strerror}.") from None
+    return folder
+
+
 @contextlib.contextmanager
 def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Provide a temporary path next to `path` and rename it to `path` on success: readers never see a partial file.

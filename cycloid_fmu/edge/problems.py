@@ -152,6 +152,14 @@ def without_controls(text: str) -> str:
     return "".join(c if c == "\n" or ord(c) not in _CONTROLS else "\N{REPLACEMENT CHARACTER}" for c in text)
 
 
+def check_named(name: object, known: Iterable[str], key: str = "") -> None:
+    """Raise a `ValueError` with what could be meant if a name is none of the known ones; `key` states it in a file."""
+    names = list(known)
+    if name not in names:
+        near = did_you_mean(str(name), names) or f"give one of {', '.join(map(repr, names))}"
+        raise ValueError(f"{key} = {shown(name)}: {near}" if key else f"{shown(name)}: {near}")
+
+
 def did_you_mean(word: str, known: Iterable[str], prefix: str = "") -> str:
     """Return "did you mean …?" with the known word nearest to `word`, or one with a part near it; "" if none is near.
 

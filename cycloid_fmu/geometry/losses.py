@@ -79,9 +79,7 @@ class Friction(Config):
         if not isinstance(given, Mapping) or given.get("friction") is None:
             return given
         name = given["friction"]
-        if name not in VALUES:
-            near = edge.did_you_mean(str(name), VALUES) or f"give one of {', '.join(map(repr, VALUES))}"
-            raise ValueError(f"friction = {edge.shown(name)}: {near}")
+        edge.check_named(name, VALUES, "friction")
         coefficients = dict(zip(_COEFFICIENTS, VALUES[name].middle, strict=True))
         for key, value in coefficients.items():
             if given.get(key) not in (None, value):

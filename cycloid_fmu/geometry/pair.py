@@ -101,9 +101,7 @@ class Material(Config):
         if not isinstance(given, Mapping) or given.get("name") is None:
             return given
         name = given["name"]
-        if name not in MATERIALS:
-            near = edge.did_you_mean(str(name), MATERIALS) or f"give one of {', '.join(map(repr, MATERIALS))}"
-            raise ValueError(f"name = {edge.shown(name)}: {near}")
+        edge.check_named(name, MATERIALS, "name")
         value = MATERIALS[name]
         return {"youngs_modulus": value.modulus, "poissons_ratio": value.poissons_ratio, **given}
 

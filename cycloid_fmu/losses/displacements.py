@@ -171,7 +171,9 @@ def sweep_motion_sensitivities(
     slope: Slope,
     loss: Array,
 ) -> bool:
-    """Write the derivatives of the deviation at given solutions without a first stage; return False if one is singular.
+    """Write the derivatives of the transmission error at given solutions; return False if one is singular.
+
+    Without a first stage.
 
     Parameters
     ----------

@@ -913,11 +913,7 @@ def write_designs(found: Sequence[Design], folder: str | os.PathLike[str]) -> li
     from cycloid_fmu.geometry.pair import write_pair
     from cycloid_fmu.surfaces.files import write_surface
 
-    target = Path(folder)
-    try:
-        target.mkdir(exist_ok=True)
-    except OSError as failure:
-        raise edge.InputError(f"{folder}: it can't be created as a folder: {failure.strerror}.") from None
+    target = edge.created_folder(folder)
     written = []
     for number, one in enumerate(found, 1):
         written.append(target / f"design-{number}.toml")

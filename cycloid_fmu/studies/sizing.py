@@ -11,7 +11,6 @@ import itertools
 import math
 import os
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -116,12 +115,14 @@ class Wish(edge.Config):
     @pydantic.field_validator("material", "pin_material")
     @classmethod
     def _material(cls, name: str) -> str:
-        return _named(name, MATERIALS)
+        edge.check_named(name, MATERIALS)
+        return name
 
     @pydantic.field_validator("process")
     @classmethod
     def _process(cls, name: str) -> str:
-        return _named(name, PROCESSES)
+        edge.check_named(name, PROCESSES)
+        return name
 
     @pydantic.model_validator(mode="after")
     def _possible(self) -> Wish:
@@ -137,13 +138,6 @@ class Wish(edge.Config):
     def gear_teeth(self) -> int:
         """Teeth of the discs: the ratio with the gear as output, one less with the ring."""
         return abs(self.ratio) - (self.output == "ring")
-
-
-def _named(name: str, known: Any) -> str:
-    if name not in known:
-        near = edge.did_you_mean(name, known) or f"give one of {', '.join(map(repr, known))}"
-        raise ValueError(f"{edge.shown(name)}: {near}")
-    return name
 
 
 @dataclasses.dataclass(frozen=True)
@@ -610,11 +604,7 @@ def write_sizing(drive: Sizing, folder: str | os.PathLike[str], figures: Sequenc
     edge.InputError
         If a file can't be written.
     """
-    target = Path(folder)
-    try:
-        target.mkdir(exist_ok=True)
-    except OSError as failure:
-        raise edge.InputError(f"{folder}: it can't be created as a folder: {failure.strerror}.") from None
+    target = edge.created_folder(folder)
     texts = {
         "drive.toml": drive.text,
         "tolerances.toml": drive.tolerances,
