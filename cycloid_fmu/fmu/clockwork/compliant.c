@@ -61,7 +61,8 @@ int compliant_move(struct drive *drive, double step, char message[MESSAGE_SIZE])
     int count = 1, i, flange, rubs = drive->rubs[INPUT] || drive->rubs[OUTPUT], damped = s->mesh_damping > 0.0;
     if (rubs || damped) {
         double chunks = fmax(1.0, ceil(step / s->largest_step * (1.0 - STEP_TOLERANCE)));
-        double parts = fmax(fabs(way[INPUT]) / CRANK_STEP, fabs(way[OUTPUT] - way[INPUT] / drive->ratio) / DEVIATION_STEP);
+        double parts = fmax(fabs(way[INPUT]) / CRANK_STEP,
+                            fabs(way[OUTPUT] - way[INPUT] / drive->ratio) / TRANSMISSION_ERROR_STEP);
         parts = fmax(chunks, ceil(fmin(parts, chunks * MOST_PARTS)));
         if (parts > MOST_SUB_STEPS) {
             return drive_refuse(message, "a step of %g s is divided into more than %g parts: make it shorter.", step,
@@ -127,7 +128,7 @@ static double by_phase(const struct drive *drive, const struct pressed *at) {
 }
 
 /* A sub-step: displacements of crank and output; stored energy at half the crank's displacement, before and after the
-   change of the deviation, and at the end; mean torques. */
+   change of the transmission error, and at the end; mean torques. */
 struct swing {
     double turn, way, damping, crank_torque;
     struct slid rubbed[2]; /* friction at crank and output, with its strains at the end in `strain` */
@@ -138,13 +139,13 @@ struct swing {
 enum { SWUNG, FAILED, TOO_LONG };
 
 /* One sub-step by the implicit midpoint rule with mean derivatives: the crank moves by half its displacement at constant
-   deviation, then the deviation changes, then the crank moves by the other half. The work done is the energy stored and
-   dissipated, so no energy is gained. Without an inertia the crank's displacement is given. */
+   transmission error, then the transmission error changes, then the crank moves by the other half. The work done is the
+   energy stored and dissipated, so no energy is gained. Without an inertia the crank's displacement is given. */
 static int swing(struct drive *drive, double part, struct pressed *at, struct swing *w, char message[MESSAGE_SIZE]) {
     const struct state *s = &drive->state;
     const double ratio = drive->ratio, start = s->turned;
     const double a = 2.0 * s->crank_inertia / (part * part), b = 2.0 * s->output_inertia / (part * part);
-    const double deviation = s->output_angle - start / ratio;
+    const double transmission_error = s->output_angle - start / ratio;
     const int held = s->crank_inertia == 0.0;
     double change, change_a = 0.0, share;
     int i, last = 0;
@@ -157,11 +158,11 @@ static int swing(struct drive *drive, double part, struct pressed *at, struct sw
     for (i = 0; i < MOST_ITERATIONS; i++) {
         struct mean contact, crank;
         double off = w->way - w->turn / ratio, damped, k, q, r, missing, missing_a;
-        if ((i == 0 || !held) && teeth_press(drive, start + 0.5 * w->turn, deviation, &w->before, message)) {
+        if ((i == 0 || !held) && teeth_press(drive, start + 0.5 * w->turn, transmission_error, &w->before, message)) {
             return FAILED;
         }
-        if (teeth_press(drive, start + 0.5 * w->turn, deviation + off, &w->after, message)
-            || ((!held || last) && teeth_press(drive, start + w->turn, deviation + off, &w->end, message))) {
+        if (teeth_press(drive, start + 0.5 * w->turn, transmission_error + off, &w->after, message)
+            || ((!held || last) && teeth_press(drive, start + w->turn, transmission_error + off, &w->end, message))) {
             return FAILED;
         }
         contact = mean_over(off, SAME_PLACE, w->after.energy - w->before.energy, w->before.by_rotation, w->after.by_rotation,

@@ -70,7 +70,7 @@ static int of_kinematic(struct drive *drive, int field, const struct state *go, 
     const struct state *s = &drive->state;
     const double ratio = drive->ratio, side = s->side < 0.0 ? -1.0 : 1.0;
     const int stands = s->pushed == 0.0, loose = s->load == 0.0;
-    double rate, deviation;
+    double rate, transmission_error;
     struct answer answer;
     if (drive->rubs[OUTPUT] || (drive->rubs[INPUT] && field == CRANK_TORQUE)) {
         return 1;
@@ -79,16 +79,16 @@ static int of_kinematic(struct drive *drive, int field, const struct state *go, 
     if (stands) {
         double stiffness = loose ? 0.0 : 1.0 / (1.0 / teeth_stiffness(drive, s->placed, kinematic_torque(drive)) + s->series_compliance);
         answer = answer_of(drive, s->load, side, stiffness, go->crank_angle, 0.0);
-        deviation = -go->crank_angle / ratio;
+        transmission_error = -go->crank_angle / ratio;
     } else {
         double load = loose ? 0.0 : side * go->torque;
         answer = answer_of(drive, s->load, side, 0.0, go->crank_angle, load);
-        deviation = (rate - 1.0 / ratio) * go->crank_angle
+        transmission_error = (rate - 1.0 / ratio) * go->crank_angle
                 + (loose ? 0.0 : (1.0 / teeth_stiffness(drive, s->placed, kinematic_torque(drive)) + s->series_compliance) * go->torque);
     }
     switch (field) {
-    case TRANSMISSION_ERROR: *value = deviation; return 0;
-    case OUTPUT_ANGLE: *value = deviation + go->crank_angle / ratio; return 0;
+    case TRANSMISSION_ERROR: *value = transmission_error; return 0;
+    case OUTPUT_ANGLE: *value = transmission_error + go->crank_angle / ratio; return 0;
     case OUTPUT_SPEED: *value = stands ? 0.0 : rate * go->crank_speed + s->crank_speed * answer.rate; return 0;
     case CRANK_TORQUE:
         if (!kinematic_pressed(drive)) {
@@ -106,7 +106,7 @@ static int of_compliant(struct drive *drive, int field, const struct state *go, 
     const struct pressed *p = &drive->pressed;
     const double ratio = drive->ratio, slip = s->output_speed - s->crank_speed / ratio;
     const int inside = drive->table->offers == INTERFACE_INERTIA;
-    /* With inertias inside, the state is the deviation. */
+    /* With inertias inside, the state is the transmission error. */
     const double output = inside ? go->transmission_error + go->crank_angle / ratio : go->output_angle;
     const double turn = drive->exchange ? 0.0 : go->crank_angle, way = drive->exchange ? 0.0 : output;
     double side = p->torque == 0.0 ? 0.0 : p->torque < 0.0 ? -1.0 : 1.0, damping, friction, torque, loss, stiffness;

@@ -371,7 +371,7 @@ static double output(struct drive *drive, int field) {
     case BACKLASH:
         return s->backlash_on == 0.0 ? 0.0 : drive->b == 0.0 ? teeth_width(drive, drive_crank_angle(drive))
             : still ? reducer_backlash(drive, s->placed, s->gear)
-                    : reducer_backlash(drive, drive->pressed.crank, drive->pressed.deviation);
+                    : reducer_backlash(drive, drive->pressed.crank, drive->pressed.transmission_error);
     case TORSIONAL_STIFFNESS: return drive_stiffness(drive);
     case MAX_CONTACT_PRESSURE:
     case CONTACT_COUNT: {

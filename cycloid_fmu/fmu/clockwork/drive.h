@@ -21,7 +21,7 @@ struct state {
     double temperature, series_compliance, backlash_on, mesh_damping, largest_step, output_inertia;
     double settled, placed, transmission_error, load, side, pushed; /* kinematic: at the last step */
     double strain[2][FRICTION_ELEMENTS], crank_seen; /* friction: its strains; the crank angle that it has followed */
-    double gear, loose; /* reducer: the gear's own deviation, and whether it is unloaded within its plays */
+    double gear, loose; /* reducer: the gear's own transmission error, and whether it is unloaded within its plays */
     /* Not in the kinematic interface. */
     double seen, dissipated_energy; /* seen: output angle up to which friction has followed */
     /* With an inertia inside: angle of the crank, because the input may already be the next angle; and of the last step the
@@ -74,7 +74,7 @@ struct drive {
     double element[2];  /* stiffness of each of its elements */
     int initializing; /* outputs follow the inputs without a step */
     int resting;      /* at rest under load, as the kinematic interface is, before an inertia moves */
-    int exchange;     /* Model Exchange: the solver is the host's; an inertia's deviation is a state */
+    int exchange;     /* Model Exchange: the solver is the host's; an inertia's transmission error is a state */
     int early, impact; /* whether a step ends where contact begins, and whether the last one did */
     double remaining;       /* rest of the step after that, s */
     double step;       /* being made, s, for its message; 0 outside a step */
@@ -142,17 +142,17 @@ double teeth_offset_rate(const struct drive *drive, double crank_angle); /* deri
 /* Torque of the crank from the contacts: the energy's derivative at fixed output. */
 double teeth_crank_torque(const struct drive *drive, double crank_angle, double torque);
 double teeth_stiffness(const struct drive *drive, double crank_angle, double torque); /* in contact */
-/* Torque of the teeth with the gear held at a deviation, behind a compliance in series. */
-int teeth_hold(const struct drive *drive, double crank_angle, double deviation, double series, double *torque,
+/* Torque of the teeth with the gear held at a transmission error, behind a compliance in series. */
+int teeth_hold(const struct drive *drive, double crank_angle, double transmission_error, double series, double *torque,
                char message[MESSAGE_SIZE]);
-int teeth_press(const struct drive *drive, double crank_angle, double deviation, struct pressed *pressed,
+int teeth_press(const struct drive *drive, double crank_angle, double transmission_error, struct pressed *pressed,
                 char message[MESSAGE_SIZE]); /* of a reducer, at given angles of its flanges */
-int teeth_press_gear(const struct drive *drive, double crank_angle, double deviation, double series,
+int teeth_press_gear(const struct drive *drive, double crank_angle, double transmission_error, double series,
                      struct pressed *pressed, char message[MESSAGE_SIZE]);
 
 int kinematic_follow(struct drive *drive, char message[MESSAGE_SIZE]);
-/* The gear's deviation at a torque, without the play if it is off; at zero torque the given end of the play. */
-int kinematic_gear(struct drive *drive, double torque, double end, double *deviation, char message[MESSAGE_SIZE]);
+/* The gear's transmission error at a torque, without the play if it is off; at zero torque the given end of the play. */
+int kinematic_gear(struct drive *drive, double torque, double end, double *transmission_error, char message[MESSAGE_SIZE]);
 double kinematic_torque(const struct drive *drive);  /* of the teeth on the gear */
 int kinematic_pressed(const struct drive *drive);    /* whether there is contact */
 double kinematic_rate(const struct drive *drive);    /* of the gear's angle with the crank's */
@@ -162,10 +162,10 @@ struct rubbing kinematic_rubbing(struct drive *drive, int flange, double torque)
 double kinematic_power(struct drive *drive); /* dissipated */
 double kinematic_yielding(struct drive *drive, double speed, double stiffness);
 
-int reducer_elastic(struct drive *drive, double torque, double end, double *deviation, char message[MESSAGE_SIZE]);
-int reducer_hold(struct drive *drive, double deviation, char message[MESSAGE_SIZE]);
+int reducer_elastic(struct drive *drive, double torque, double end, double *transmission_error, char message[MESSAGE_SIZE]);
+int reducer_hold(struct drive *drive, double transmission_error, char message[MESSAGE_SIZE]);
 /* Contacts and series compliance behind the first stage, at given angles of sun and output. */
-int reducer_press(const struct drive *drive, double sun_angle, double deviation, struct pressed *pressed,
+int reducer_press(const struct drive *drive, double sun_angle, double transmission_error, struct pressed *pressed,
                   char message[MESSAGE_SIZE]);
 double reducer_pressed_stiffness(const struct drive *drive);
 double reducer_speed(struct drive *drive);

@@ -98,7 +98,7 @@ static int solve_loaded(struct exact_contacts *contacts, int operation, double c
     status = solve(contacts, operation, crank_angle, a, b, result);
     if (status == CONTACTS_SOLVED) {
         last->crank_angle = crank_angle;
-        last->deviation = result[0];
+        last->transmission_error = result[0];
         last->stiffness = result[1];
         last->torque = result[2];
         last->turned = last->shared = 0.0;
@@ -152,7 +152,7 @@ static double touch_rate(void *self, double crank_angle, double side) {
 static int loaded(void *self, double crank_angle, double torque, struct loaded *result) {
     struct exact_contacts *contacts = self;
     int status = stand(contacts, crank_angle, torque);
-    result->deviation = contacts->last.deviation;
+    result->transmission_error = contacts->last.transmission_error;
     result->compliance = contacts->last.stiffness > 0.0 ? 1.0 / contacts->last.stiffness : HUGE_VAL;
     return status;
 }
@@ -167,21 +167,21 @@ static double crank_torque(void *self, double crank_angle, double torque) {
     return turn(contacts, crank_angle, torque) == CONTACTS_SOLVED ? contacts->last.crank_torque : NAN;
 }
 
-static int held(void *self, double crank_angle, double deviation, double series, double *torque) {
+static int held(void *self, double crank_angle, double transmission_error, double series, double *torque) {
     double result[MOST_RESULTS];
-    int status = solve_loaded(self, SOLVE_HOLD, crank_angle, deviation, series, result);
+    int status = solve_loaded(self, SOLVE_HOLD, crank_angle, transmission_error, series, result);
     *torque = result[2];
     return status;
 }
 
-static int press(void *self, double crank_angle, double deviation, double series, struct pressed *pressed) {
+static int press(void *self, double crank_angle, double transmission_error, double series, struct pressed *pressed) {
     struct exact_contacts *contacts = self;
     struct exact_solution *last = &contacts->last;
     double result[MOST_RESULTS];
     int status = CONTACTS_SOLVED;
-    if (!(last->crank_angle == crank_angle && last->held_at == deviation && last->series == series)) {
-        status = solve_loaded(contacts, SOLVE_PRESS, crank_angle, deviation, series, result);
-        last->held_at = deviation;
+    if (!(last->crank_angle == crank_angle && last->held_at == transmission_error && last->series == series)) {
+        status = solve_loaded(contacts, SOLVE_PRESS, crank_angle, transmission_error, series, result);
+        last->held_at = transmission_error;
         last->series = series;
         last->energy = result[3];
         last->by_angle = result[4];

@@ -24,10 +24,10 @@ struct exact_problem {
 
 /* The last solutions; NAN for none. Only doubles, so that they can be stored as they are. */
 struct exact_solution {
-    double crank_angle, torque, deviation, stiffness;
+    double crank_angle, torque, transmission_error, stiffness;
     double turned, crank_torque, rate; /* turned: whether the others are those of the solution */
     double shared, count, pressure;    /* likewise */
-    double held_at, series, energy, by_angle; /* pressed: the deviation that was held, behind a compliance */
+    double held_at, series, energy, by_angle; /* pressed: the transmission error that was held, behind a compliance */
     double play_angle, ends[2];
 };
 

@@ -4,8 +4,8 @@
 #include <math.h>
 #include <string.h>
 
-/* The states in the order of the model description. The deviation is a state instead of the output's angle, because the
-   deflection of the contacts is millionths of that angle. */
+/* The states in the order of the model description. The transmission error is a state instead of the output's angle,
+   because the deflection of the contacts is millionths of that angle. */
 int exchange_states(const struct drive *drive, int fields[MOST_STATES]) {
     int count = 0, i;
     if (drive_kinematic(drive)) {
@@ -110,10 +110,10 @@ void exchange_indicators(struct drive *drive, double result[EVENT_INDICATORS]) {
     } else {
         char message[MESSAGE_SIZE];
         struct play play;
-        double deviation = s->output_angle - drive_angle(drive) / drive->ratio;
+        double transmission_error = s->output_angle - drive_angle(drive) / drive->ratio;
         teeth_play(drive, drive_angle(drive), &play, message);
-        result[0] = deviation - (play.high - play.offset);
-        result[1] = deviation - (play.low + play.offset);
+        result[0] = transmission_error - (play.high - play.offset);
+        result[1] = transmission_error - (play.low + play.offset);
         result[4] = drive->rubs[OUTPUT] ? s->output_speed : 1.0;
     }
 }

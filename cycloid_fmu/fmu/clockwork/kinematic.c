@@ -15,7 +15,7 @@ int kinematic_pressed(const struct drive *drive) {
     return drive->state.load > 0.0 || (drive->state.loose == 0.0 && teeth_width(drive, drive->state.placed) == 0.0);
 }
 
-int kinematic_gear(struct drive *drive, double torque, double end, double *deviation, char message[MESSAGE_SIZE]) {
+int kinematic_gear(struct drive *drive, double torque, double end, double *transmission_error, char message[MESSAGE_SIZE]) {
     struct state *s = &drive->state;
     struct loaded at;
     struct play play = {0.0, 0.0, 0.0, 0.0};
@@ -25,14 +25,14 @@ int kinematic_gear(struct drive *drive, double torque, double end, double *devia
         return 1;
     }
     if (torque == 0.0) {
-        *deviation = 0.5 * (play.low + play.high) + end * (0.5 * play.width - play.offset);
+        *transmission_error = 0.5 * (play.low + play.high) + end * (0.5 * play.width - play.offset);
         return 0;
     }
     if (teeth_refuse(drive->contacts.loaded(drive->contacts.self, s->placed, torque, &at), torque, message)) {
         return 1;
     }
-    *deviation = at.deviation - s->side * play.offset;
-    if (!(fabs(*deviation) < LARGEST_TRANSMISSION_ERROR)) {
+    *transmission_error = at.transmission_error - s->side * play.offset;
+    if (!(fabs(*transmission_error) < LARGEST_TRANSMISSION_ERROR)) {
         return drive_refuse(message, "flange_b.tau and friction_torque make %g N.m, which turns the output by more than %g rad.",
                       torque, LARGEST_TRANSMISSION_ERROR);
     }
@@ -57,21 +57,21 @@ double kinematic_rate(const struct drive *drive) {
     return rate + 1.0 / drive->table->ratio;
 }
 
-/* The flange's deviation at a torque; at zero torque the given end of the play. */
-static int elastic(struct drive *drive, double torque, double end, double *deviation, char message[MESSAGE_SIZE]) {
-    int failed = drive->b > 0.0 ? reducer_elastic(drive, torque, end, deviation, message)
-                                : kinematic_gear(drive, torque, end, deviation, message);
-    *deviation += drive->state.series_compliance * torque;
+/* The flange's transmission error at a torque; at zero torque the given end of the play. */
+static int elastic(struct drive *drive, double torque, double end, double *transmission_error, char message[MESSAGE_SIZE]) {
+    int failed = drive->b > 0.0 ? reducer_elastic(drive, torque, end, transmission_error, message)
+                                : kinematic_gear(drive, torque, end, transmission_error, message);
+    *transmission_error += drive->state.series_compliance * torque;
     return failed;
 }
 
-static int hold(struct drive *drive, double deviation, char message[MESSAGE_SIZE]) {
+static int hold(struct drive *drive, double transmission_error, char message[MESSAGE_SIZE]) {
     struct state *s = &drive->state;
     double torque;
     if (drive->b > 0.0) {
-        return reducer_hold(drive, deviation, message);
+        return reducer_hold(drive, transmission_error, message);
     }
-    if (teeth_hold(drive, s->placed, deviation, s->series_compliance, &torque, message)) {
+    if (teeth_hold(drive, s->placed, transmission_error, s->series_compliance, &torque, message)) {
         return 1;
     }
     s->load = fabs(torque);
@@ -80,22 +80,22 @@ static int hold(struct drive *drive, double deviation, char message[MESSAGE_SIZE
 }
 
 /* The output at zero torque without friction: it stays at its position, limited to the ends of the play. */
-static int floating(struct drive *drive, double before, double *deviation, char message[MESSAGE_SIZE]) {
+static int floating(struct drive *drive, double before, double *transmission_error, char message[MESSAGE_SIZE]) {
     struct state *s = &drive->state;
     double low = 0.0, high = 0.0;
     int failed = elastic(drive, 0.0, 1.0, &high, message);
-    *deviation = before;
+    *transmission_error = before;
     s->pushed = 0.0;
     if (!failed && before > high) {
-        *deviation = high;
+        *transmission_error = high;
         s->pushed = 1.0;
     } else if (!failed) {
         failed = elastic(drive, 0.0, -1.0, &low, message);
         if (before < low) {
-            *deviation = low;
+            *transmission_error = low;
             s->pushed = -1.0;
         } else if (low == high) {
-            *deviation = low;
+            *transmission_error = low;
         } else if (!failed) {
             failed = hold(drive, before, message);
         }
@@ -148,10 +148,10 @@ static int search_on(struct search *search, double value, double slope, double a
     return 0;
 }
 
-/* The output's deviation with friction that held it `before`: M + f(displacement) = T, teeth M, friction f. If all
-   elements slide, the friction follows from the torque. Otherwise it is in between: the teeth have one deviation at
-   T - f, which decreases with f, and the elements have one f at each deviation, which increases with it. */
-static int carried(struct drive *drive, double before, double *deviation, char message[MESSAGE_SIZE]) {
+/* The output's transmission error with friction that held it `before`: M + f(displacement) = T, teeth M, friction f. If all
+   elements slide, the friction follows from the torque. Otherwise it is in between: the teeth have one transmission error at
+   T - f, which decreases with f, and the elements have one f at each transmission error, which increases with it. */
+static int carried(struct drive *drive, double before, double *transmission_error, char message[MESSAGE_SIZE]) {
     struct state *s = &drive->state;
     const double load = s->torque - friction_viscous(drive, OUTPUT) * pace(drive), stiffness = drive->element[OUTPUT];
     double following[FRICTION_ELEMENTS], slope, end, most, ends[2], place[2], borne[2], reached = 0.0;
@@ -159,19 +159,20 @@ static int carried(struct drive *drive, double before, double *deviation, char m
     int i, failed = 0;
     s->pushed = 1.0;
     if (stiffness == 0.0) {
-        return load == 0.0 ? floating(drive, before, deviation, message)
-                           : elastic(drive, load, 0.0, deviation, message);
+        return load == 0.0 ? floating(drive, before, transmission_error, message)
+                           : elastic(drive, load, 0.0, transmission_error, message);
     }
     ends[0] = -sliding(drive, -load);
     ends[1] = sliding(drive, load);
     most = fmax(-ends[0], ends[1]);
     for (i = 0; i < 2; i++) {
         const double side = i == 0 ? 1.0 : -1.0;
-        if (elastic(drive, load - ends[i], side, deviation, message)) {
+        if (elastic(drive, load - ends[i], side, transmission_error, message)) {
             return 1;
         }
-        reached = friction_held(drive, OUTPUT, *deviation - before, load - ends[i], pace(drive), following, &slope);
-        if (reached * ends[i] >= ends[i] * ends[i] * (1.0 - FRICTION_ROUNDING) && (*deviation - before) * side <= 0.0) {
+        reached = friction_held(drive, OUTPUT, *transmission_error - before, load - ends[i], pace(drive), following, &slope);
+        if (reached * ends[i] >= ends[i] * ends[i] * (1.0 - FRICTION_ROUNDING)
+            && (*transmission_error - before) * side <= 0.0) {
             s->pushed = side;
             memcpy(s->strain[OUTPUT], following, sizeof following);
             return 0;
@@ -188,14 +189,14 @@ static int carried(struct drive *drive, double before, double *deviation, char m
             search = search_between(place[0], place[1], before);
             for (i = 0; i < FRICTION_ITERATIONS; i++) {
                 reached = friction_held(drive, OUTPUT, search.at - before, 0.0, pace(drive), following, &slope);
-                *deviation = search.at;
+                *transmission_error = search.at;
                 if (search_on(&search, reached - load, slope, FRICTION_ROUNDING * s->friction[OUTPUT].presliding_angle)) {
                     break;
                 }
             }
             s->pushed = 0.0;
             memcpy(s->strain[OUTPUT], following, sizeof following);
-            return hold(drive, *deviation, message);
+            return hold(drive, *transmission_error, message);
         }
         ends[load > borne[1] ? 1 : 0] = load;
     }
@@ -204,8 +205,8 @@ static int carried(struct drive *drive, double before, double *deviation, char m
     for (i = 0; i < FRICTION_ITERATIONS && !failed; i++) {
         const double force = search.at, torque = load - force, side = torque == 0.0 ? end : copysign(1.0, torque);
         double compliance = s->series_compliance, teeth;
-        failed = elastic(drive, torque, side, deviation, message);
-        reached = friction_held(drive, OUTPUT, *deviation - before, torque, pace(drive), following, &slope);
+        failed = elastic(drive, torque, side, transmission_error, message);
+        reached = friction_held(drive, OUTPUT, *transmission_error - before, torque, pace(drive), following, &slope);
         if (failed) {
             break;
         }
@@ -222,7 +223,7 @@ static int carried(struct drive *drive, double before, double *deviation, char m
 
 int kinematic_follow(struct drive *drive, char message[MESSAGE_SIZE]) {
     struct state *s = &drive->state;
-    double ideal = s->crank_angle / drive->ratio, deviation = 0.0;
+    double ideal = s->crank_angle / drive->ratio, transmission_error = 0.0;
     int failed;
     if (!((friction_viscous(drive, INPUT) + friction_viscous(drive, OUTPUT)) * s->crank_speed * s->crank_speed < HUGE_VAL)) {
         return drive_refuse(message, "flange_a.w = %g rad/s: viscous friction is beyond the range of numbers.", s->crank_speed, 0.0);
@@ -231,19 +232,19 @@ int kinematic_follow(struct drive *drive, char message[MESSAGE_SIZE]) {
         s->placed = s->crank_angle;
     }
     if (s->settled == 0.0 || (!drive->rubs[OUTPUT] && s->torque != 0.0)) {
-        failed = elastic(drive, s->torque, 0.0, &deviation, message);
+        failed = elastic(drive, s->torque, 0.0, &transmission_error, message);
         s->pushed = s->torque != 0.0 ? 1.0 : 0.0;
     } else if (drive->rubs[OUTPUT]) {
-        failed = carried(drive, s->output_angle - ideal, &deviation, message);
+        failed = carried(drive, s->output_angle - ideal, &transmission_error, message);
     } else {
-        failed = floating(drive, s->output_angle - ideal, &deviation, message);
+        failed = floating(drive, s->output_angle - ideal, &transmission_error, message);
     }
-    if (!failed && !(fabs(deviation) < HUGE_VAL && fabs(ideal) < HUGE_VAL && s->load < HUGE_VAL)) {
+    if (!failed && !(fabs(transmission_error) < HUGE_VAL && fabs(ideal) < HUGE_VAL && s->load < HUGE_VAL)) {
         failed = drive_refuse(message, "flange_b.tau = %g N.m, flange_a.phi = %g rad: the output can't be found there.", s->torque, s->crank_angle);
     }
     s->settled = 1.0;
-    s->output_angle = ideal + deviation;
-    s->transmission_error = deviation;
+    s->output_angle = ideal + transmission_error;
+    s->transmission_error = transmission_error;
     if (drive->element[INPUT] > 0.0 && drive->rubs[INPUT] && !failed) {
         double following[FRICTION_ELEMENTS], slope;
         friction_held(drive, INPUT, s->crank_angle - s->crank_seen, kinematic_crank_torque(drive), s->crank_speed, following,

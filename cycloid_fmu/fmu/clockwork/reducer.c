@@ -2,10 +2,10 @@
 
    The sun turns the planets, the planets the cranks, and the cycloid discs turn the carrier, in which the planets are
    mounted: so the crank angle is θ = a φ_b - b (φ_a + δ) with b = z_1/z_2, a = 1 + b and δ the sun's position within its
-   play, and depends on the output angle that it causes. With s = 1/(1 + a/z_c) the output deviates by φ_b - φ_a/i = δ/i +
-   s (x(θ) - β) from the ideal reducer, with x the gear's deviation at its own torque and β the carrier's position in the
-   crank bearings. Virtual work gives the torques: T = M + a τ at the output and -b τ at the sun, with M at the gear and τ
-   at the crank. Between two flanges the energy is the cycloid stage's E(θ, φ) under this change of coordinates. */
+   play, and depends on the output angle that it causes. With s = 1/(1 + a/z_c) the transmission error is φ_b - φ_a/i = δ/i
+   + s (x(θ) - β), with x that of the gear at its own torque and β the carrier's position in the crank bearings. Virtual
+   work gives the torques: T = M + a τ at the output and -b τ at the sun, with M at the gear and τ at the crank. Between
+   two flanges the energy is the cycloid stage's E(θ, φ) under this change of coordinates. */
 #include "drive.h"
 
 #include <math.h>
@@ -22,15 +22,15 @@ static double outer_play(const struct drive *drive) {
         : 0.5 * (sun_play(drive) / drive->ratio + drive->s * drive->table->bearing_play);
 }
 
-/* The crank angle for an angle of the sun and a deviation of the output, with the sun's play on the given side. */
-static double crank_at(const struct drive *drive, double sun_angle, double deviation, double side) {
+/* The crank angle for an angle of the sun and a transmission error of the output, with the sun's play on the given side. */
+static double crank_at(const struct drive *drive, double sun_angle, double transmission_error, double side) {
     double turns = sun_angle / (TWO_PI * drive->ratio), reduced = TWO_PI * drive->ratio * (turns - floor(turns));
-    return reduced * drive->table->ratio / drive->ratio + drive->a * deviation
+    return reduced * drive->table->ratio / drive->ratio + drive->a * transmission_error
         - 0.5 * drive->b * side * sun_play(drive);
 }
 
-static void turn_crank(struct drive *drive, double deviation, double side) {
-    drive->state.placed = crank_at(drive, drive->state.crank_angle, deviation, side);
+static void turn_crank(struct drive *drive, double transmission_error, double side) {
+    drive->state.placed = crank_at(drive, drive->state.crank_angle, transmission_error, side);
 }
 
 static int offset_of(struct drive *drive, double side, double *offset, char message[MESSAGE_SIZE]) {
@@ -40,16 +40,16 @@ static int offset_of(struct drive *drive, double side, double *offset, char mess
     return failed;
 }
 
-int reducer_elastic(struct drive *drive, double torque, double end, double *deviation, char message[MESSAGE_SIZE]) {
+int reducer_elastic(struct drive *drive, double torque, double end, double *transmission_error, char message[MESSAGE_SIZE]) {
     struct state *s = &drive->state;
     double side = torque == 0.0 ? end : copysign(1.0, torque), outer = side * outer_play(drive);
     double crank_torque = (1.0 - drive->s) / drive->a * torque, offset = 0.0;
     int i;
     s->loose = 0.0;
-    *deviation = outer + drive->s * s->gear;
+    *transmission_error = outer + drive->s * s->gear;
     for (i = 0; i < STAGE_ITERATIONS; i++) {
         double gear, following, before = crank_torque, own;
-        turn_crank(drive, *deviation, side);
+        turn_crank(drive, *transmission_error, side);
         if (kinematic_gear(drive, torque == 0.0 ? 0.0 : torque - drive->a * crank_torque, end, &gear, message)
             || offset_of(drive, torque == 0.0 ? end : s->side, &own, message) || offset_of(drive, side, &offset, message)) {
             return 1;
@@ -59,8 +59,8 @@ int reducer_elastic(struct drive *drive, double torque, double end, double *devi
         if (kinematic_pressed(drive)) {
             crank_torque = teeth_crank_torque(drive, s->placed, kinematic_torque(drive));
         }
-        gear = fabs(following - *deviation);
-        *deviation = following;
+        gear = fabs(following - *transmission_error);
+        *transmission_error = following;
         if (gear < STAGE_STEP && fabs(crank_torque - before) <= STAGE_SHARE * fabs(torque)) {
             break;
         }
@@ -68,30 +68,30 @@ int reducer_elastic(struct drive *drive, double torque, double end, double *devi
     return 0;
 }
 
-int reducer_hold(struct drive *drive, double deviation, char message[MESSAGE_SIZE]) {
+int reducer_hold(struct drive *drive, double transmission_error, char message[MESSAGE_SIZE]) {
     struct state *s = &drive->state;
     struct play play;
     struct loaded at;
     double low, high, side, outer = outer_play(drive), torque;
-    turn_crank(drive, deviation, 0.0);
+    turn_crank(drive, transmission_error, 0.0);
     if (teeth_play(drive, s->placed, &play, message)) {
         return 1;
     }
     low = play.low + play.offset;
     high = play.high - play.offset;
-    side = deviation > drive->s * high ? 1.0 : -1.0;
-    if ((drive->s * low <= deviation && deviation <= drive->s * high)
-        || fabs(deviation - drive->s * (side > 0.0 ? high : low)) <= outer) {
-        double gear = deviation / drive->s;
+    side = transmission_error > drive->s * high ? 1.0 : -1.0;
+    if ((drive->s * low <= transmission_error && transmission_error <= drive->s * high)
+        || fabs(transmission_error - drive->s * (side > 0.0 ? high : low)) <= outer) {
+        double gear = transmission_error / drive->s;
         s->gear = gear < low ? low : gear > high ? high : gear;
         s->load = 0.0;
         s->loose = 1.0;
         return 0;
     }
-    turn_crank(drive, deviation, side);
+    turn_crank(drive, transmission_error, side);
     s->loose = 0.0;
-    if (teeth_hold(drive, s->placed, (deviation - side * outer) / drive->s, s->series_compliance / (drive->s * drive->s),
-                   &torque, message)) {
+    if (teeth_hold(drive, s->placed, (transmission_error - side * outer) / drive->s,
+                   s->series_compliance / (drive->s * drive->s), &torque, message)) {
         return 1;
     }
     s->side = side;
@@ -101,12 +101,12 @@ int reducer_hold(struct drive *drive, double deviation, char message[MESSAGE_SIZ
         if (teeth_refuse(drive->contacts.loaded(drive->contacts.self, s->placed, torque, &at), torque, message)) {
             return 1;
         }
-        s->gear = at.deviation;
+        s->gear = at.transmission_error;
     }
     return 0;
 }
 
-/* Rate of the gear's deviation with the crank, without the play if it is off; and the stiffness of the teeth. */
+/* Rate of the gear's transmission error with the crank, without the play if it is off; and the stiffness of the teeth. */
 static double gear_rate(struct drive *drive, double *stiffness) {
     const struct state *s = &drive->state;
     *stiffness = kinematic_pressed(drive) ? teeth_stiffness(drive, s->placed, kinematic_torque(drive)) : 0.0;
@@ -181,15 +181,16 @@ double reducer_backlash(const struct drive *drive, double crank_angle, double ge
 
 /* Contacts at given flange angles with the plays of the gears at a relative position (-1 to 1); returns the derivative of
    the energy with respect to this position. */
-static int within_plays(const struct drive *drive, double sun_angle, double deviation, double side,
+static int within_plays(const struct drive *drive, double sun_angle, double transmission_error, double side,
                         struct pressed *pressed, double *rate, char message[MESSAGE_SIZE]) {
     double outer = outer_play(drive), by_crank, gear;
-    if (teeth_press_gear(drive, crank_at(drive, sun_angle, deviation, side), (deviation - side * outer) / drive->s,
+    if (teeth_press_gear(drive, crank_at(drive, sun_angle, transmission_error, side),
+                         (transmission_error - side * outer) / drive->s,
                          drive->state.series_compliance / (drive->s * drive->s), pressed, message)) {
         return 1;
     }
     gear = pressed->by_rotation;
-    by_crank = pressed->by_angle + gear / drive->table->ratio; /* at the same deviation of the gear */
+    by_crank = pressed->by_angle + gear / drive->table->ratio; /* at the same transmission error of the gear */
     pressed->by_angle *= -drive->b;
     pressed->by_rotation = gear / drive->s + drive->a * by_crank;
     pressed->stiffness /= drive->s * drive->s;
@@ -198,23 +199,23 @@ static int within_plays(const struct drive *drive, double sun_angle, double devi
 }
 
 /* The crank has no mass, so it is at the minimum of the energy: at an end of the plays, or without contact. */
-int reducer_press(const struct drive *drive, double sun_angle, double deviation, struct pressed *pressed,
+int reducer_press(const struct drive *drive, double sun_angle, double transmission_error, struct pressed *pressed,
                   char message[MESSAGE_SIZE]) {
-    double first = deviation >= 0.0 ? 1.0 : -1.0, a = -first, b = first, rate, rate_a, rate_b, start;
+    double first = transmission_error >= 0.0 ? 1.0 : -1.0, a = -first, b = first, rate, rate_a, rate_b, start;
     const double free = drive->contacts.free_energy;
     struct pressed other;
     int i;
     if (outer_play(drive) == 0.0) {
-        return within_plays(drive, sun_angle, deviation, drive->state.backlash_on != 0.0 ? first : 0.0, pressed, &rate,
+        return within_plays(drive, sun_angle, transmission_error, drive->state.backlash_on != 0.0 ? first : 0.0, pressed, &rate,
                             message);
     }
-    if (within_plays(drive, sun_angle, deviation, first, pressed, &rate_b, message)) {
+    if (within_plays(drive, sun_angle, transmission_error, first, pressed, &rate_b, message)) {
         return 1;
     }
     if (first * rate_b < 0.0) {
         return 0;
     }
-    if (within_plays(drive, sun_angle, deviation, -first, &other, &rate_a, message)) {
+    if (within_plays(drive, sun_angle, transmission_error, -first, &other, &rate_a, message)) {
         return 1;
     }
     if (-first * rate_a < 0.0 || (other.energy <= free && other.energy <= pressed->energy)) {
@@ -229,7 +230,7 @@ int reducer_press(const struct drive *drive, double sun_angle, double deviation,
     for (i = 0; i < STAGE_ITERATIONS; i++) {
         double at = (a * rate_b - b * rate_a) / (rate_b - rate_a);
         at = fmin(fmax(at, fmin(a, b)), fmax(a, b));
-        if (within_plays(drive, sun_angle, deviation, at, pressed, &rate, message)) {
+        if (within_plays(drive, sun_angle, transmission_error, at, pressed, &rate, message)) {
             return 1;
         }
         if (fabs(rate) <= STAGE_SHARE * start || fabs(b - a) < STAGE_SHARE) {

@@ -61,12 +61,12 @@ static double blend(const struct side *side, const struct place *place, uint32_t
     double sum = 0.0;
     int i;
     for (i = 0; i < 4; i++) {
-        sum += weight[i] * (double)side->deviation[(size_t)place->node[i] * side->loads + load];
+        sum += weight[i] * (double)side->transmission_error[(size_t)place->node[i] * side->loads + load];
     }
     return whole(weight) * side->base[load] + side->step[load] * sum;
 }
 
-static double deviation_at(const struct side *side, const struct place *place, uint32_t load) {
+static double transmission_error_at(const struct side *side, const struct place *place, uint32_t load) {
     return blend(side, place, load, place->weight);
 }
 
@@ -112,7 +112,7 @@ struct interpolated table_at(const struct side *side, const struct place *place,
     double a = 0.0, b = 0.0, ca = 0.0, cb = 0.0, ra = 0.0, rb = 0.0, rca = 0.0, rcb = 0.0;
     struct interpolated result;
     for (i = 0; i < 4; i++) {
-        const int16_t *x = side->deviation + (size_t)place->node[i] * side->loads + j;
+        const int16_t *x = side->transmission_error + (size_t)place->node[i] * side->loads + j;
         const uint16_t *c = side->compliance + (size_t)place->node[i] * side->loads + j;
         double w = place->weight[i], r = place->rate[i];
         a += w * (double)x[0];
@@ -133,12 +133,12 @@ struct interpolated table_at(const struct side *side, const struct place *place,
     rca *= side->compliance_step[j];
     rcb *= side->compliance_step[j + 1];
     if (u > 1.0) { /* beyond the last load */
-        result.deviation = b + (load - side->load[j + 1]) * cb;
+        result.transmission_error = b + (load - side->load[j + 1]) * cb;
         result.compliance = cb;
         result.rate = rb + (load - side->load[j + 1]) * rcb;
         return result;
     }
-    result.deviation = hermite(u, h, a, b, ca, cb);
+    result.transmission_error = hermite(u, h, a, b, ca, cb);
     result.compliance = hermite_slope(u, h, a, b, ca, cb);
     result.rate = hermite(u, h, ra, rb, rca, rcb);
     return result;
@@ -146,7 +146,7 @@ struct interpolated table_at(const struct side *side, const struct place *place,
 
 struct interpolated table_at_node(const struct side *side, const struct place *place, uint32_t node) {
     struct interpolated result;
-    result.deviation = deviation_at(side, place, node);
+    result.transmission_error = transmission_error_at(side, place, node);
     result.rate = blend(side, place, node, place->rate);
     result.compliance = compliance_at(side, place, node);
     return result;
@@ -155,8 +155,8 @@ struct interpolated table_at_node(const struct side *side, const struct place *p
 double table_load(const struct side *side, const struct place *place, double goal, double series) {
     uint32_t low = 0, high = side->loads - 1, step;
     double a, b, ca, cb, h, lower = 0.0, upper = 1.0, u;
-    a = deviation_at(side, place, low);
-    b = deviation_at(side, place, high) + series * side->load[high];
+    a = transmission_error_at(side, place, low);
+    b = transmission_error_at(side, place, high) + series * side->load[high];
     if (goal <= a) {
         return 0.0;
     }
@@ -166,7 +166,7 @@ double table_load(const struct side *side, const struct place *place, double goa
     }
     while (high - low > 1) {
         uint32_t middle = (low + high) / 2;
-        double at = deviation_at(side, place, middle) + series * side->load[middle];
+        double at = transmission_error_at(side, place, middle) + series * side->load[middle];
         if (at <= goal) {
             low = middle;
             a = at;
@@ -198,38 +198,38 @@ double table_load(const struct side *side, const struct place *place, double goa
 
 void table_energy(const struct side *side, const struct place *place, double load, double *energy, double *rate) {
     uint32_t cell = cell_of(side->load, side->loads, load), i, j;
-    double of_deviation[MOST_LOADS], of_compliance[MOST_LOADS];
+    double of_transmission_error[MOST_LOADS], of_compliance[MOST_LOADS];
     double h = side->load[cell + 1] - side->load[cell], beyond = load - side->load[side->loads - 1];
     double u = beyond > 0.0 ? 1.0 : (load - side->load[cell]) / h, u2 = u * u;
-    memset(of_deviation, 0, (cell + 2) * sizeof *of_deviation);
+    memset(of_transmission_error, 0, (cell + 2) * sizeof *of_transmission_error);
     memset(of_compliance, 0, (cell + 2) * sizeof *of_compliance);
     for (j = 0; j < cell; j++) {
         double width = side->load[j + 1] - side->load[j];
-        of_deviation[j] += 0.5 * width;
-        of_deviation[j + 1] += 0.5 * width;
+        of_transmission_error[j] += 0.5 * width;
+        of_transmission_error[j + 1] += 0.5 * width;
         of_compliance[j] += width * width / 12.0;
         of_compliance[j + 1] -= width * width / 12.0;
     }
-    of_deviation[cell] += h * (u - u2 * u + 0.5 * u2 * u2);
-    of_deviation[cell + 1] += h * (u2 * u - 0.5 * u2 * u2);
+    of_transmission_error[cell] += h * (u - u2 * u + 0.5 * u2 * u2);
+    of_transmission_error[cell + 1] += h * (u2 * u - 0.5 * u2 * u2);
     of_compliance[cell] += h * h * (0.5 * u2 - 2.0 / 3.0 * u2 * u + 0.25 * u2 * u2);
     of_compliance[cell + 1] += h * h * (0.25 * u2 * u2 - u2 * u / 3.0);
     if (beyond > 0.0) {
-        of_deviation[cell + 1] += beyond;
+        of_transmission_error[cell + 1] += beyond;
         of_compliance[cell + 1] += 0.5 * beyond * beyond;
     }
     *energy = *rate = 0.0;
     for (j = 0; j < cell + 2; j++) {
-        *energy += whole(place->weight) * of_deviation[j] * side->base[j];
-        of_deviation[j] *= side->step[j];
+        *energy += whole(place->weight) * of_transmission_error[j] * side->base[j];
+        of_transmission_error[j] *= side->step[j];
         of_compliance[j] *= side->compliance_step[j];
     }
     for (i = 0; i < 4; i++) {
-        const int16_t *x = side->deviation + (size_t)place->node[i] * side->loads;
+        const int16_t *x = side->transmission_error + (size_t)place->node[i] * side->loads;
         const uint16_t *c = side->compliance + (size_t)place->node[i] * side->loads;
         double sum = 0.0;
         for (j = 0; j < cell + 2; j++) {
-            sum += of_deviation[j] * (double)x[j] + of_compliance[j] * (double)c[j];
+            sum += of_transmission_error[j] * (double)x[j] + of_compliance[j] * (double)c[j];
         }
         *energy += place->weight[i] * sum;
         *rate += place->rate[i] * sum;

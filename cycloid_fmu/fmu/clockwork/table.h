@@ -9,9 +9,9 @@ struct side {
     uint32_t loads, pressure_loads; /* pressure: of contact count and pressure, which are outputs only */
     double reach; /* the last load but one, up to which the accuracy is stated */
     double load[MOST_LOADS], pressure_load[MOST_LOADS];
-    double base[MOST_LOADS], step[MOST_LOADS]; /* of the deviation: its smallest value, and its step */
+    double base[MOST_LOADS], step[MOST_LOADS]; /* of the transmission error: its smallest value, and its step */
     double compliance_step[MOST_LOADS], pressure_step[MOST_LOADS];
-    const int16_t *deviation;
+    const int16_t *transmission_error;
     const uint16_t *compliance, *pressure;
     const uint8_t *contact_count;
 };
@@ -32,7 +32,8 @@ struct table {
     uint32_t checksum;
     char *token;
     uint32_t offers, variables; /* the interface; `interface` is a macro in Windows' headers */
-    uint32_t angles, pressure_angles; /* 0 without tables; of deviation and compliance; of contact count and pressure */
+    uint32_t angles;          /* of transmission error and compliance; 0 without tables */
+    uint32_t pressure_angles; /* of contact count and pressure */
     struct variable *variable;
     double ratio, period, allowed;
     double sun_teeth, planet_teeth, sun_play, bearing_play; /* of an RV reducer's first stage; else no teeth */
@@ -49,7 +50,7 @@ struct place {
 
 /* Results for a load at a crank angle, mirrored like the sides, so that all increase with the load. */
 struct interpolated {
-    double deviation, rate; /* and its change with the crank angle, rad and rad/rad */
+    double transmission_error, rate; /* and its change with the crank angle, rad and rad/rad */
     double compliance;      /* rad/(N.m) */
 };
 
@@ -66,9 +67,9 @@ struct place table_turning(const struct table *table, const struct place *place)
 struct interpolated table_at(const struct side *side, const struct place *place, double load);
 struct interpolated table_at_node(const struct side *side, const struct place *place, uint32_t node);
 /* Beyond the very last load the tangent continues with constant compliance. */
-/* Load at which the deviation, with a further compliance in series, has a given value; 0 below the first. */
-double table_load(const struct side *side, const struct place *place, double deviation, double series);
-/* Integral of the deviation over the load, and of its rate. */
+/* Load at which the transmission error, with a further compliance in series, has a given value; 0 below the first. */
+double table_load(const struct side *side, const struct place *place, double transmission_error, double series);
+/* Integral of the transmission error over the load, and of its rate. */
 void table_energy(const struct side *side, const struct place *place, double load, double *energy, double *rate);
 double table_pressure(const struct side *side, const struct place *place, double load);
 int table_contact_count(const struct side *side, const struct place *place, double load);

@@ -34,8 +34,8 @@ static double mirrored(double torque, double value) {
 static int play(void *self, double crank_angle, double ends[2]) {
     struct table_contacts *contacts = self;
     const struct place *place = place_at(contacts, crank_angle);
-    ends[0] = -table_at_node(&contacts->table->side[1], place, 0).deviation;
-    ends[1] = table_at_node(&contacts->table->side[0], place, 0).deviation;
+    ends[0] = -table_at_node(&contacts->table->side[1], place, 0).transmission_error;
+    ends[1] = table_at_node(&contacts->table->side[0], place, 0).transmission_error;
     if (ends[1] - ends[0] <= NO_PLAY) {
         ends[0] = ends[1] = 0.5 * (ends[0] + ends[1]);
     }
@@ -49,7 +49,7 @@ static double touch_rate(void *self, double crank_angle, double side) {
 
 static int loaded(void *self, double crank_angle, double torque, struct loaded *result) {
     const struct interpolated at = at_torque(self, crank_angle, torque);
-    result->deviation = mirrored(torque, at.deviation);
+    result->transmission_error = mirrored(torque, at.transmission_error);
     result->compliance = at.compliance > LEAST_COMPLIANCE ? at.compliance : LEAST_COMPLIANCE;
     return CONTACTS_SOLVED;
 }
@@ -75,26 +75,26 @@ static double crank_torque(void *self, double crank_angle, double torque) {
     return contacts->crank_torque;
 }
 
-static double torque_at(struct table_contacts *contacts, double crank_angle, double deviation, double series) {
+static double torque_at(struct table_contacts *contacts, double crank_angle, double transmission_error, double series) {
     const struct place *place = place_at(contacts, crank_angle);
-    const double side = deviation > table_at_node(&contacts->table->side[0], place, 0).deviation ? 1.0 : -1.0;
-    return side * table_load(side_of(contacts, side), place, side * deviation, series);
+    const double side = transmission_error > table_at_node(&contacts->table->side[0], place, 0).transmission_error ? 1.0 : -1.0;
+    return side * table_load(side_of(contacts, side), place, side * transmission_error, series);
 }
 
-static int held(void *self, double crank_angle, double deviation, double series, double *torque) {
-    *torque = torque_at(self, crank_angle, deviation, series);
+static int held(void *self, double crank_angle, double transmission_error, double series, double *torque) {
+    *torque = torque_at(self, crank_angle, transmission_error, series);
     return CONTACTS_SOLVED;
 }
 
-static int press(void *self, double crank_angle, double deviation, double series, struct pressed *pressed) {
+static int press(void *self, double crank_angle, double transmission_error, double series, struct pressed *pressed) {
     struct table_contacts *contacts = self;
     const struct table *table = contacts->table;
-    const double torque = torque_at(contacts, crank_angle, deviation, series);
+    const double torque = torque_at(contacts, crank_angle, transmission_error, series);
     double energy, energy_rate, ends[2];
     table_energy(side_of(contacts, torque), &contacts->place, fabs(torque), &energy, &energy_rate);
     pressed->by_angle = torque_of_crank(table, &contacts->place, torque, energy_rate);
     pressed->by_rotation = torque;
-    pressed->energy = torque * deviation - energy - 0.5 * series * torque * torque
+    pressed->energy = torque * transmission_error - energy - 0.5 * series * torque * torque
         + table_rest_energy(table, &contacts->place);
     pressed->stiffness = 0.0;
     play(self, crank_angle, ends);

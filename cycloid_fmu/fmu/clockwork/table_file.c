@@ -24,7 +24,7 @@ static void read_steps(struct reader *reader, uint32_t count, double *step) {
 }
 
 /* The file has them as differences from one crank angle to the next. */
-static const int16_t *read_deviation(struct reader *reader, uint32_t angles, uint32_t loads) {
+static const int16_t *read_transmission_error(struct reader *reader, uint32_t angles, uint32_t loads) {
     uint16_t *first = reader_words(reader, (size_t)angles * loads), *row = first, *end;
     uint32_t j;
     if (first == NULL) {
@@ -61,7 +61,7 @@ static void read_side(struct reader *reader, const struct table *table, struct s
     read_steps(reader, side->loads, side->step);
     read_steps(reader, side->loads, side->compliance_step);
     read_steps(reader, side->pressure_loads, side->pressure_step);
-    side->deviation = read_deviation(reader, table->angles, side->loads);
+    side->transmission_error = read_transmission_error(reader, table->angles, side->loads);
     side->compliance = reader_words(reader, (size_t)table->angles * side->loads);
     side->pressure = reader_words(reader, (size_t)table->pressure_angles * side->pressure_loads);
     side->contact_count = reader_take(reader, (size_t)table->pressure_angles * side->pressure_loads);

@@ -57,8 +57,8 @@ double teeth_stiffness(const struct drive *drive, double crank_angle, double tor
     return status == CONTACTS_SOLVED ? 1.0 / at.compliance : NAN;
 }
 
-/* The contacts' deviation for that of the gear, on the side (±1) on which they are. */
-static int contacts_deviation(const struct drive *drive, double crank_angle, double *deviation, double *side,
+/* The contacts' transmission error for that of the gear, on the side (±1) on which they are. */
+static int contacts_transmission_error(const struct drive *drive, double crank_angle, double *transmission_error, double *side,
                               char message[MESSAGE_SIZE]) {
     struct play play;
     *side = 0.0;
@@ -68,25 +68,26 @@ static int contacts_deviation(const struct drive *drive, double crank_angle, dou
     if (teeth_play(drive, crank_angle, &play, message)) {
         return 1;
     }
-    *side = *deviation > play.high - play.offset ? 1.0 : -1.0;
-    *deviation += *side * play.offset;
+    *side = *transmission_error > play.high - play.offset ? 1.0 : -1.0;
+    *transmission_error += *side * play.offset;
     return 0;
 }
 
-int teeth_hold(const struct drive *drive, double crank_angle, double deviation, double series, double *torque,
+int teeth_hold(const struct drive *drive, double crank_angle, double transmission_error, double series, double *torque,
                char message[MESSAGE_SIZE]) {
     double side;
-    if (contacts_deviation(drive, crank_angle, &deviation, &side, message)) {
+    if (contacts_transmission_error(drive, crank_angle, &transmission_error, &side, message)) {
         return 1;
     }
-    return teeth_refuse(drive->contacts.held(drive->contacts.self, crank_angle, deviation, series, torque), 0.0, message);
+    return teeth_refuse(drive->contacts.held(drive->contacts.self, crank_angle, transmission_error, series, torque), 0.0,
+                        message);
 }
 
-int teeth_press_gear(const struct drive *drive, double crank_angle, double deviation, double series,
+int teeth_press_gear(const struct drive *drive, double crank_angle, double transmission_error, double series,
                      struct pressed *pressed, char message[MESSAGE_SIZE]) {
-    double contacts = deviation, side;
+    double contacts = transmission_error, side;
     int status;
-    if (contacts_deviation(drive, crank_angle, &contacts, &side, message)) {
+    if (contacts_transmission_error(drive, crank_angle, &contacts, &side, message)) {
         return 1;
     }
     status = drive->contacts.press(drive->contacts.self, crank_angle, contacts, series, pressed);
@@ -98,25 +99,25 @@ int teeth_press_gear(const struct drive *drive, double crank_angle, double devia
     }
     pressed->torque = pressed->by_rotation;
     pressed->crank = crank_angle;
-    pressed->deviation = deviation - series * pressed->by_rotation;
+    pressed->transmission_error = transmission_error - series * pressed->by_rotation;
     return 0;
 }
 
-int teeth_press(const struct drive *drive, double crank_angle, double deviation, struct pressed *pressed,
+int teeth_press(const struct drive *drive, double crank_angle, double transmission_error, struct pressed *pressed,
                 char message[MESSAGE_SIZE]) {
-    if (!(deviation > -LARGEST_TRANSMISSION_ERROR && deviation < LARGEST_TRANSMISSION_ERROR)) {
+    if (!(transmission_error > -LARGEST_TRANSMISSION_ERROR && transmission_error < LARGEST_TRANSMISSION_ERROR)) {
         if (drive->table->offers == INTERFACE_COMPLIANT && drive->step > SUGGESTED_STEP) {
             snprintf(message, MESSAGE_SIZE,
                      "flange_b.phi is %g rad from flange_a.phi/ratio after a step of %g s: it must stay within %g rad; make shorter "
                      "steps (%g s is suggested), or build the FMU with the inertias inside (--output-inertia, --crank-inertia).",
-                     deviation, drive->step, LARGEST_TRANSMISSION_ERROR, SUGGESTED_STEP);
+                     transmission_error, drive->step, LARGEST_TRANSMISSION_ERROR, SUGGESTED_STEP);
             return 1;
         }
-        return drive_refuse(message, "flange_b.phi is %g rad from flange_a.phi/ratio: it must stay within %g rad.", deviation,
-                      LARGEST_TRANSMISSION_ERROR);
+        return drive_refuse(message, "flange_b.phi is %g rad from flange_a.phi/ratio: it must stay within %g rad.",
+                            transmission_error, LARGEST_TRANSMISSION_ERROR);
     }
     if (drive->b > 0.0) {
-        return reducer_press(drive, crank_angle, deviation, pressed, message);
+        return reducer_press(drive, crank_angle, transmission_error, pressed, message);
     }
-    return teeth_press_gear(drive, crank_angle, deviation, drive->state.series_compliance, pressed, message);
+    return teeth_press_gear(drive, crank_angle, transmission_error, drive->state.series_compliance, pressed, message);
 }
