@@ -1,9 +1,10 @@
 """Losses of an FMU from the friction that a pair file states, solved in the balance of the drive.
 
-Friction at the contacts and bearings goes into Modelica's loss table, its change over the crank angle into orders of
-that angle, drags of both shafts that do not depend on the lubricant into the friction of the flanges. Whatever the
-lubricant does depends on speed times viscosity alone, so the table is over the speed at one viscosity, and the FMU
-looks it up at the speed times ν(T)/ν_ref (docs/theory/fmu.md).
+Friction at the contacts and bearings goes into Modelica's loss table, and its change over the crank angle into orders
+of the crank's turn relative to the ring and to the output carrier. Drags of both shafts that do not depend on the
+lubricant go into the friction of the flanges. Whatever the lubricant does depends on speed times viscosity alone, so
+the table is over the speed at one viscosity, and the FMU looks it up at the speed times ν(T)/ν_ref
+(docs/theory/fmu.md).
 """
 
 from __future__ import annotations
@@ -11,14 +12,16 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from cycloid_fmu.drive_value import DriveValue
-from cycloid_fmu.fmu.constants import INPUT_STRIBECK_SPEED, MOST_RIPPLE_ORDERS
+from cycloid_fmu.fmu.constants import INPUT_STRIBECK_SPEED, MOST_RIPPLE_ORDERS, MOST_RIPPLE_SPEEDS
 from cycloid_fmu.fmu.friction_file import Friction
 from cycloid_fmu.fmu.variables import FRICTIONLESS, LOSSLESS, Interface, LossRipple, LossRow
 from cycloid_fmu.geometry.losses import Drag, Losses, Lubricant
@@ -26,6 +29,7 @@ from cycloid_fmu.losses.heat import at_oil_temperature
 from cycloid_fmu.losses.solver import losses_of, solve, sun_rate
 
 Array = NDArray[np.float64]
+Value = TypeVar("Value")
 LARGEST_SPEED = 200.0 * math.pi
 """Speed of flange_a up to which the table follows the model, rad/s; 6000 rpm."""
 COLDEST, HOTTEST = 293.15, 373.15
@@ -33,10 +37,13 @@ COLDEST, HOTTEST = 293.15, 373.15
 SHARES = (0.1, 0.3, 0.65, 1.0)
 """Loads, of the rated torque, at which the model is solved."""
 _COMPARED = (0.1, 0.45, 1.0)  # of the rated torque
-_ANGLES = 37  # of one crank turn: no common divisor with numbers of pins near it
-_CLOSE = 2e-3  # of the load's torque at flange_a: largest change of a row that is not inserted
+_ANGLES = 37  # of an output turn, at least
+_CLOSE = 2e-3  # of the load's torque at flange_a: largest change by a speed that is not inserted
+_RIPPLE_CLOSE = 5e-4  # the same, of an order
 _MOST_ROWS = 32
-_RIPPLE_ANGLES = 8  # for each pin
+_BESIDE_PASSAGE = 3  # orders above a pin's passage that are candidates
+_ANGLES_OF_AN_ORDER = 6  # by which it is fitted
+_RIPPLE_SPEED = 0.1 * LARGEST_SPEED  # at which orders are chosen
 _LEAST_RIPPLE = 1e-4  # of the load's torque at flange_a: smaller orders are left out
 
 
@@ -127,7 +134,7 @@ def model_losses(drive: DriveValue) -> ModelLosses:
         which a loss table can't state.
     """
     losses = losses_of(drive)
-    model = _Model(drive)
+    model = _Model(drive, _even_angles(drive))
     rows = _rows(model)
     lubricant = losses.lubricant
     if lubricant is not None and all(row[1:] == rows[-1][1:] for row in rows[1:]):
@@ -141,7 +148,7 @@ def model_losses(drive: DriveValue) -> ModelLosses:
         0.0,
         (SHARES[0] * model.rated, model.rated),
         (0.0, 0.0),
-        _ripple(drive),
+        _ripple(drive, rows),
         tuple(sorted(set(losses.from_table.values()))),
     )
     return _compared(model, found)
@@ -169,11 +176,11 @@ def table_torque(rows: tuple[LossRow, ...], speed: float, asked: Array) -> Array
 class _Model:
     """The drive with friction in its balance, without the drags that an FMU has at its flanges."""
 
-    def __init__(self, drive: DriveValue, angles: int = _ANGLES) -> None:
+    def __init__(self, drive: DriveValue, angles: Array) -> None:
         self.drive, self.losses, self.rate, self.ratio = drive, losses_of(drive), sun_rate(drive), abs(drive.ratio)
         self.rated = drive.pair.rated_load("the pair")
         self.loads = self.rated * np.array(SHARES)
-        self.angles = np.linspace(0.0, 2.0 * math.pi, angles, endpoint=False)
+        self.angles = angles
         drags = {
             "input_drag": self.losses.input_drag.replace(viscous=0.0),
             "output_drag": Drag(churning=self.losses.output_drag.churning),
@@ -233,55 +240,125 @@ def nearest_line(load: Array, loss: Array) -> tuple[float, float]:
     return float(found.x[0]), float(found.x[1])
 
 
-def _rows(model: _Model) -> tuple[LossRow, ...]:
-    """Return the table: rows between two are inserted where the model is not linear.
+def _even_angles(drive: DriveValue) -> Array:
+    """Return crank angles over an output turn, after which a drive repeats, evenly over crank turns in both frames."""
+    turns, count = round(abs(drive.pair.ratio)), _ANGLES
+    while math.gcd(count, turns * (turns * turns - 1)) > 1:
+        count += 1
+    angles: Array = np.arange(count) * (2.0 * math.pi * turns / count)
+    return angles
 
-    Friction at rest, which may be another than at the slightest speed, ends at the first row after it: slow enough that
-    the drive moves at any temperature from `INPUT_STRIBECK_SPEED` on.
+
+def _scattered_angles(drive: DriveValue, count: int) -> Array:
+    """Return random crank angles over an output turn, ascending: no two orders look alike there."""
+    angles: Array = 2.0 * math.pi * abs(drive.pair.ratio) * np.sort(np.random.default_rng(0).random(count))
+    return angles
+
+
+def _speeds(losses: Losses, drive: DriveValue) -> tuple[float, float, float]:
+    """Return rest, the slowest and the fastest speed of flange_a, rad/s, at the lubricant's stated viscosity.
+
+    Friction at rest, which may be another than at the slightest speed, ends at the second: slow enough that the drive
+    moves at any temperature from `INPUT_STRIBECK_SPEED` on.
     """
-    teeth = model.loads / model.ratio
-    thickest, thinnest = (_thinning(model.losses.lubricant, kelvin) for kelvin in _range(model.drive))
-    ends = 0.0, INPUT_STRIBECK_SPEED * thinnest, LARGEST_SPEED * thickest
-    rows = {speed: model.row(speed) for speed in ends}
-    pending = [tuple(sorted(rows))[1:]]
-    while pending and len(rows) < _MOST_ROWS:
+    thickest, thinnest = (_thinning(losses.lubricant, kelvin) for kelvin in _range(drive))
+    return 0.0, INPUT_STRIBECK_SPEED * thinnest, LARGEST_SPEED * thickest
+
+
+def _refined(
+    value: Callable[[float], Value],
+    ends: tuple[float, float, float],
+    change: Callable[[float, Value, tuple[float, Value], tuple[float, Value]], float],
+    most: int,
+    close: float,
+) -> dict[float, Value]:
+    """Return values at speeds: those of the ends, and between two moving ones where they are not linear.
+
+    `change` is that of the load's torque at flange_a, as a share, by a speed and its value between two others.
+    """
+    values = {speed: value(speed) for speed in ends}
+    pending = [ends[1:]]
+    while pending and len(values) < most:
         low, high = pending.pop(0)
         between = math.sqrt(low * high)
-        row, linear = model.row(between), (rows[low], rows[high])
-        off = max(
-            float(np.abs((table_torque((row,), between, asked) - table_torque(linear, between, asked)) / teeth).max())
+        at = value(between)
+        if change(between, at, (low, values[low]), (high, values[high])) > close:
+            values[between] = at
+            pending += [(low, between), (between, high)]
+    return dict(sorted(values.items()))
+
+
+def _rows(model: _Model) -> tuple[LossRow, ...]:
+    """Return the table."""
+    teeth = model.loads / model.ratio
+
+    def change(speed: float, row: LossRow, low: tuple[float, LossRow], high: tuple[float, LossRow]) -> float:
+        linear = low[1], high[1]
+        return max(
+            float(np.abs((table_torque((row,), speed, asked) - table_torque(linear, speed, asked)) / teeth).max())
             for asked in (teeth, -teeth)
         )
-        if off > _CLOSE:
-            rows[between] = row
-            pending += [(low, between), (between, high)]
-    return tuple(rows[speed] for speed in sorted(rows))
+
+    return tuple(_refined(model.row, _speeds(model.losses, model.drive), change, _MOST_ROWS, _CLOSE).values())
 
 
-def _ripple(drive: DriveValue) -> LossRipple | None:
-    """Return the change of the losses over a crank turn at the loads of `SHARES`, at a tenth of the largest speed.
+def _candidate_orders(drive: DriveValue) -> Array:
+    """Return orders of the crank's turn relative to the ring: whole ones, and those whole relative to the carrier."""
+    ratio, whole = round(drive.pair.ratio), np.arange(1, drive.pair.pins + _BESIDE_PASSAGE + 1)
+    lines = np.concatenate([whole * abs(ratio), whole * abs(ratio - 1)])  # of an output turn
+    orders: Array = np.unique(lines) / abs(ratio)
+    return orders
 
-    It is what the balance loses more than the line through its means, at the torque of the teeth at each angle.
+
+def _parts(model: _Model, rows: tuple[LossRow, ...], orders: Array, speed: float, shares: Array) -> Array:
+    """Return cosine and sine parts of the losses' change over the crank angle, shape (2, 2, loads, orders, 2), N·m.
+
+    It is what the balance loses more than the table, at the torque of the teeth at each angle, but for its mean; loads
+    are shares of the rated one. Axes as for `LossRipple`.
     """
-    model, speed = _Model(drive, _RIPPLE_ANGLES * drive.pair.pins), 0.1 * LARGEST_SPEED
-    row, smooth, turn = (model.row(speed),), _with_losses(drive, Losses()), math.copysign(1.0, model.rate)
-    parts = np.empty((2, 2, len(SHARES), model.angles.size // 2 + 1), np.complex128)
+    turn, smooth = math.copysign(1.0, model.rate), _with_losses(model.drive, Losses())
+    angles = np.multiply.outer(model.angles, orders)
+    design = np.column_stack([np.ones(model.angles.size), np.cos(angles), np.sin(angles)])
+    parts = np.empty((2, 2, shares.size, orders.size, 2))
     for direction, drives in itertools.product((1, -1), (True, False)):
-        loads = direction * model.loads if drives else -direction * model.loads
+        loads = (direction if drives else -direction) * model.rated * shares
         asked = model.input_torque(smooth, loads, direction, 0.0)
-        more = model.input_torque(model.contacts, loads, direction, speed) - table_torque(row, speed, asked)
-        spectrum = 2.0 * np.fft.rfft(more) / model.angles.size
-        parts[int((direction * turn > 0.0) != drives), int(not drives)] = spectrum.conj()
-    teeth = model.loads / model.ratio
-    largest = (np.abs(parts) / teeth[:, None]).max(axis=(0, 1, 2))
-    largest[[0, -1]] = 0.0
-    orders = np.sort(np.argsort(-largest)[:MOST_RIPPLE_ORDERS])
-    orders = orders[largest[orders] > _LEAST_RIPPLE]
+        more = model.input_torque(model.contacts, loads, direction, speed) - table_torque(rows, speed, asked)
+        fitted = np.linalg.lstsq(design, more.T, rcond=None)[0][1:]
+        parts[int((direction * turn > 0.0) != drives), int(not drives)] = fitted.T.reshape(
+            shares.size, 2, orders.size
+        ).swapaxes(1, 2)
+    return parts
+
+
+def _ripple(drive: DriveValue, rows: tuple[LossRow, ...]) -> LossRipple | None:
+    """Return the change of the losses over the crank angle at the loads of `SHARES`, with its largest orders."""
+    candidates, ends = _candidate_orders(drive), np.array([SHARES[0], SHARES[-1]])
+    wide = _Model(drive, _scattered_angles(drive, _ANGLES_OF_AN_ORDER * candidates.size))
+    sizes = np.hypot(*np.moveaxis(_parts(wide, rows, candidates, _RIPPLE_SPEED, ends), -1, 0))
+    largest = (sizes / (ends * wide.rated / wide.ratio)[:, None]).max(axis=(0, 1, 2))
+    chosen = np.sort(np.argsort(-largest)[:MOST_RIPPLE_ORDERS])
+    orders = candidates[chosen[largest[chosen] > _LEAST_RIPPLE]]
     if orders.size == 0:
         return None
-    chosen = parts[..., orders]
-    both = np.stack([chosen.real, chosen.imag], axis=-1).tolist()
-    return LossRipple(orders=tuple(orders.tolist()), loads=tuple(teeth.tolist()), parts=both)
+    model = _Model(drive, _scattered_angles(drive, _ANGLES_OF_AN_ORDER * orders.size + _ANGLES))
+    teeth = model.loads / model.ratio
+
+    def change(speed: float, parts: Array, low: tuple[float, Array], high: tuple[float, Array]) -> float:
+        share = (speed - low[0]) / (high[0] - low[0])
+        off = parts - (1.0 - share) * low[1] - share * high[1]
+        return float((np.hypot(off[..., 0], off[..., 1]) / teeth[:, None]).max())
+
+    def at_speed(speed: float) -> Array:
+        return _parts(model, rows, orders, speed, np.array(SHARES))
+
+    by_speed = _refined(at_speed, _speeds(model.losses, drive), change, MOST_RIPPLE_SPEEDS, _RIPPLE_CLOSE)
+    return LossRipple(
+        orders=tuple(orders.tolist()),
+        speeds=tuple(by_speed),
+        loads=tuple(teeth.tolist()),
+        parts=np.array(list(by_speed.values())).tolist(),
+    )
 
 
 def _range(drive: DriveValue) -> tuple[float, float]:
@@ -370,6 +447,6 @@ def _of_fmu(model: _Model, found: ModelLosses, asked: Array, direction: int, red
     if found.ripple is not None:
         turn = direction * math.copysign(1.0, model.rate)
         for k, mean in enumerate(asked.mean(axis=1).tolist()):
-            lost[k] = np.maximum(lost[k] + found.ripple.torque(model.angles, turn * mean, mean > 0.0), 0.0)
+            lost[k] = np.maximum(lost[k] + found.ripple.torque(model.angles, turn * mean, mean > 0.0, reduced), 0.0)
     needed: Array = asked + lost
     return needed

@@ -203,9 +203,11 @@ def _head(
 
 def _ripple(ripple: LossRipple | None) -> bytes:
     if ripple is None:
-        return struct.pack("<2I", 0, 0)
-    numbers = np.concatenate([ripple.orders, ripple.loads, np.ravel(ripple.parts)])
-    return struct.pack("<2I", len(ripple.orders), len(ripple.loads)) + numbers.astype("<f8").tobytes()
+        return struct.pack("<3I", 0, 0, 0)
+    numbers = np.concatenate([ripple.orders, ripple.speeds, ripple.loads, np.ravel(ripple.parts)])
+    return (
+        struct.pack("<3I", len(ripple.orders), len(ripple.speeds), len(ripple.loads)) + numbers.astype("<f8").tobytes()
+    )
 
 
 def _field(variable: Variable) -> int:

@@ -40,25 +40,35 @@ class LossRipple(Config):
     Attributes
     ----------
     orders
-        Of the crank's turn.
+        Of the crank's turn relative to the ring. They need not be whole: those of the crank's bearings are so relative
+        to the output carrier.
+    speeds
+        |w| of `flange_a`, rad/s, at which it is stated, ascending from 0; times ν(T)/ν_ref where there is a lubricant.
+        It is linear between them, and as at the last one above it.
     loads
         Torques of the teeth at `flange_a` at which it is stated, N·m, ascending; it is linear from none without load to
         the first and between them.
     parts
-        Cosine and sine part, N·m, shape (2, 2, loads, orders, 2): by the sign of that torque, positive first, and by
-        which flange drives, `flange_a` first.
+        Cosine and sine part, N·m, shape (speeds, 2, 2, loads, orders, 2): by the sign of that torque, positive first,
+        and by which flange drives, `flange_a` first.
     """
 
-    orders: tuple[int, ...]
+    orders: tuple[float, ...]
+    speeds: tuple[float, ...]
     loads: tuple[float, ...]
-    parts: tuple[tuple[tuple[tuple[tuple[float, float], ...], ...], ...], ...]
+    parts: tuple[tuple[tuple[tuple[tuple[tuple[float, float], ...], ...], ...], ...], ...]
 
-    def torque(self, crank_angle: NDArray[np.float64], load: float, drives: bool) -> NDArray[np.float64]:
+    def torque(self, crank_angle: NDArray[np.float64], load: float, drives: bool, speed: float) -> NDArray[np.float64]:
         """Return the torque at crank angles (rad), N·m, as `fmu/clockwork/losses.c` has it.
 
-        `load` is the torque of the teeth at `flange_a`, N·m, and `drives` whether this flange does.
+        `load` is the torque of the teeth at `flange_a`, N·m, `drives` whether this flange does, `speed` as `speeds`.
         """
-        parts = np.array(self.parts[int(load < 0.0)][int(not drives)])
+        of_speed = np.array(self.parts)[:, int(load < 0.0), int(not drives)]
+        above = min(int(np.searchsorted(self.speeds, speed)), len(self.speeds) - 1)
+        below = max(above - 1, 0)
+        step = self.speeds[above] - self.speeds[below]
+        share = min((speed - self.speeds[below]) / step, 1.0) if step > 0.0 else 1.0
+        parts = (1.0 - share) * of_speed[below] + share * of_speed[above]
         from_none = np.concatenate([np.zeros((1, *parts.shape[1:])), parts])
         loads = (0.0, *self.loads)
         cosine, sine = (

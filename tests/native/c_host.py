@@ -1,6 +1,7 @@
 """Shared by the tests of the native FMU: its interfaces, an instance of one, and compiling C for it."""
 
 import dataclasses
+import math
 import os
 import shutil
 import subprocess
@@ -23,17 +24,23 @@ INTERFACES = {
     "inertia": Interface("compliant", 0.5, mesh_damping=0.0),
 }
 RIPPLE = LossRipple(  # of 5 to 30 % of the losses in `INTERFACES`
-    orders=(1, 40),
+    orders=(1.0, 40.0 / 39.0, 40.0),
+    speeds=(0.0, 15.0, 80.0),
     loads=(0.5, 4.0),
-    parts=(
-        (
-            (((2e-3, 1e-3), (0.0, 2e-3)), ((2e-2, 5e-3), (4e-3, -3e-2))),
-            (((1e-3, 0.0), (2e-3, 0.0)), ((9e-3, 0.0), (3e-2, 7e-3))),
-        ),
-        (
-            (((0.0, 2e-3), (1e-3, 0.0)), ((0.0, 2e-2), (-3e-2, 0.0))),
-            (((2e-3, 0.0), (0.0, 1e-3)), ((1e-2, 8e-3), (0.0, 2e-2))),
-        ),
+    parts=tuple(
+        tuple(
+            tuple(
+                tuple(
+                    tuple(
+                        (fast * load * 5e-3 * math.cos(flank + k), load * 4e-3 * math.sin(driven + k)) for k in range(3)
+                    )
+                    for load in (0.3, 4.0)
+                )
+                for driven in (1, 2)
+            )
+            for flank in (3, 5)
+        )
+        for fast in (2.0, 1.0, 1.5)
     ),
 )
 BUILT = {

@@ -113,7 +113,7 @@ def masing(path, most=1.0, angle=ANGLE):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_losses_take_their_ripple_more_at_each_crank_angle(opened, kind):
-    """By flank and direction of power, between the stated loads and beyond; none without load."""
+    """By flank and direction of power, between the stated speeds and loads and beyond; none without load."""
     lossy = INTERFACES["kinematic"]
     bare, even, rippled = (
         opened(kind, interface) for interface in (Interface(), lossy, dataclasses.replace(lossy, loss_ripple=RIPPLE))
@@ -129,9 +129,9 @@ def test_losses_take_their_ripple_more_at_each_crank_angle(opened, kind):
                 drive.put(flange_a_phi=angle)
                 drive.step()
             (asked,), (mean,), (torque,) = (drive.get("flange_a.tau") for drive in (bare, even, rippled))
-            (wanted,) = RIPPLE.torque(np.array([angle]), asked, asked * direction > 0.0)
+            (wanted,) = RIPPLE.torque(np.array([angle]), asked, asked * direction > 0.0, 20.0)
             assert torque - mean == pytest.approx(direction * wanted, abs=1e-9)
-    assert not RIPPLE.torque(np.linspace(0.0, 1.0, 5), 0.0, True).any()
+    assert not RIPPLE.torque(np.linspace(0.0, 1.0, 5), 0.0, True, 20.0).any()
 
 
 @pytest.mark.parametrize("kind", KINDS)

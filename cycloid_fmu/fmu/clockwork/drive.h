@@ -112,7 +112,7 @@ int losses_take(const struct drive *drive); /* whether they take anything */
 double losses_thinning(const struct drive *drive); /* factor of the speed at the present temperature */
 double losses_torque(const struct drive *drive, double speed, double asked);
 /* What is added to that torque at the present crank angle, for a torque of the teeth at flange_a and a direction of motion. */
-double losses_ripple(const struct drive *drive, double load, double direction);
+double losses_ripple(const struct drive *drive, double reduced, double load, double direction);
 
 int heat_stored(const struct drive *drive); /* whether the temperature is a state */
 double heat_rate(const struct drive *drive, double power); /* of the temperature, K/s */

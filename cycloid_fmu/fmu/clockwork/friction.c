@@ -36,8 +36,8 @@ static struct yields cold_yields(const struct drive *drive, int flange, double l
     if (flange == INPUT && drive->lossy) {
         const double reduced = speed * losses_thinning(drive);
         const double low = losses_torque(drive, reduced, -load), high = losses_torque(drive, reduced, load);
-        result.low += ripples ? fmax(low + losses_ripple(drive, load, -1.0), 0.0) : low;
-        result.high += ripples ? fmax(high + losses_ripple(drive, load, 1.0), 0.0) : high;
+        result.low += ripples ? fmax(low + losses_ripple(drive, reduced, load, -1.0), 0.0) : low;
+        result.high += ripples ? fmax(high + losses_ripple(drive, reduced, load, 1.0), 0.0) : high;
     }
     return result;
 }

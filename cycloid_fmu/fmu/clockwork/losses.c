@@ -80,35 +80,51 @@ double losses_torque(const struct drive *drive, double speed, double asked) {
     return at[2] * (asked + at[4]) - asked;
 }
 
-double losses_ripple(const struct drive *drive, double load, double direction) {
-    const struct ripple *ripple = drive->ripple;
+/* The crank angle of the cycloid stage; behind a first stage that moves, ideally. */
+static double ripple_crank(const struct drive *drive) {
     const struct state *s = &drive->state;
+    if (drive->table->offers == INTERFACE_KINEMATIC || drive->resting) {
+        return s->placed;
+    }
+    return (drive->table->offers == INTERFACE_INERTIA ? s->turned : s->crank_angle) * drive->table->ratio / drive->ratio;
+}
+
+/* Nodes about a value of an ascending list, and the share of the upper one; as at the last one above it. */
+static uint32_t node_above(const double *nodes, uint32_t count, double value, double *share) {
+    uint32_t above = 0;
+    while (above + 1 < count && value > nodes[above]) {
+        above++;
+    }
+    *share = above == 0 ? 1.0 : fmin((value - nodes[above - 1]) / (nodes[above] - nodes[above - 1]), 1.0);
+    return above;
+}
+
+double losses_ripple(const struct drive *drive, double reduced, double load, double direction) {
+    const struct ripple *ripple = drive->ripple;
     const int flank = load < 0.0, driven = load * direction < 0.0;
-    double crank, share, result = 0.0;
-    uint32_t j = 0, k;
+    double crank, fast, much, result = 0.0;
+    uint32_t i, j, k;
     if (ripple == NULL) {
         return 0.0;
     }
-    if (drive->table->offers == INTERFACE_KINEMATIC || drive->resting) {
-        crank = s->placed;
-    } else { /* of the cycloid stage, ideally: behind a first stage the shaft's is another */
-        crank = (drive->table->offers == INTERFACE_INERTIA ? s->turned : s->crank_angle) * drive->table->ratio / drive->ratio;
-    }
-    load = fmin(fabs(load), ripple->load[ripple->loads - 1]);
-    while (load > ripple->load[j]) {
-        j++;
-    }
-    share = j == 0 ? load / ripple->load[0] : (load - ripple->load[j - 1]) / (ripple->load[j] - ripple->load[j - 1]);
+    crank = ripple_crank(drive);
+    i = node_above(ripple->speed, ripple->speeds, fabs(reduced), &fast);
+    j = node_above(ripple->load, ripple->loads, fabs(load), &much);
+    much = j == 0 ? fmin(fabs(load) / ripple->load[0], 1.0) : much;
     for (k = 0; k < ripple->orders; k++) {
-        const double *above = ripple->part[flank][driven][j][k];
         const double turn = ripple->order[k] * crank;
-        double cosine = share * above[0], sine = share * above[1];
-        if (j > 0) {
-            const double *below = ripple->part[flank][driven][j - 1][k];
-            cosine += (1.0 - share) * below[0];
-            sine += (1.0 - share) * below[1];
+        double part[2];
+        int of;
+        for (of = 0; of < 2; of++) {
+            double at_speed[2] = {0.0, 0.0}; /* the slower one, the faster one */
+            uint32_t n;
+            for (n = i == 0 ? 0 : i - 1; n <= i; n++) {
+                const double below = j == 0 ? 0.0 : ripple->part[n][flank][driven][j - 1][k][of];
+                at_speed[n == i] = below + much * (ripple->part[n][flank][driven][j][k][of] - below);
+            }
+            part[of] = at_speed[0] + fast * (at_speed[1] - at_speed[0]);
         }
-        result += cosine * cos(turn) + sine * sin(turn);
+        result += part[0] * cos(turn) + part[1] * sin(turn);
     }
     return result;
 }

@@ -17,11 +17,12 @@ struct side {
 };
 
 /* What the losses take more than their mean at a crank angle θ, N.m at flange_a: the sum of c cos(nθ) + s sin(nθ) over
-   orders n, linear from none without load to and between torques of the teeth at flange_a. By the sign of that torque (>= 0 first) and by who drives (flange_a first). */
+   orders n, which need not be whole. Linear between speeds of flange_a, and from none without load to and between torques
+   of the teeth at flange_a. By the sign of that torque (>= 0 first) and by who drives (flange_a first). */
 struct ripple {
-    uint32_t orders, loads; /* no orders: none */
-    double order[MOST_RIPPLE_ORDERS], load[MOST_RIPPLE_LOADS];
-    double part[2][2][MOST_RIPPLE_LOADS][MOST_RIPPLE_ORDERS][2];
+    uint32_t orders, speeds, loads; /* no orders: none */
+    double order[MOST_RIPPLE_ORDERS], speed[MOST_RIPPLE_SPEEDS], load[MOST_RIPPLE_LOADS];
+    double part[MOST_RIPPLE_SPEEDS][2][2][MOST_RIPPLE_LOADS][MOST_RIPPLE_ORDERS][2];
 };
 
 /* Constant once it is complete: the instances of a process share it. */

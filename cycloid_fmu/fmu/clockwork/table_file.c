@@ -101,8 +101,10 @@ static void read_rest(struct reader *reader, struct table *table, uint32_t n) {
 static void read_ripple(struct reader *reader, struct ripple *ripple) {
     uint32_t i, j, k;
     ripple->orders = (uint32_t)reader_whole(reader, 4);
+    ripple->speeds = (uint32_t)reader_whole(reader, 4);
     ripple->loads = (uint32_t)reader_whole(reader, 4);
-    if (ripple->orders > MOST_RIPPLE_ORDERS || ripple->loads > MOST_RIPPLE_LOADS || (ripple->orders > 0 && ripple->loads == 0)) {
+    if (ripple->orders > MOST_RIPPLE_ORDERS || ripple->speeds > MOST_RIPPLE_SPEEDS || ripple->loads > MOST_RIPPLE_LOADS
+        || (ripple->orders > 0 && (ripple->speeds == 0 || ripple->loads == 0))) {
         reader->failed = 1;
         return;
     }
@@ -110,14 +112,18 @@ static void read_ripple(struct reader *reader, struct ripple *ripple) {
         ripple->order[k] = reader_number(reader);
         reader->failed |= !(fabs(ripple->order[k]) < 1e9);
     }
+    for (j = 0; j < ripple->speeds; j++) {
+        ripple->speed[j] = reader_number(reader);
+        reader->failed |= !(j == 0 ? ripple->speed[j] == 0.0 : ripple->speed[j] > ripple->speed[j - 1] && ripple->speed[j] < HUGE_VAL);
+    }
     for (j = 0; j < ripple->loads; j++) {
         ripple->load[j] = reader_number(reader);
         reader->failed |= !(ripple->load[j] > (j == 0 ? 0.0 : ripple->load[j - 1]) && ripple->load[j] < HUGE_VAL);
     }
-    for (i = 0; i < 4; i++) {
+    for (i = 0; i < 4 * ripple->speeds; i++) {
         for (j = 0; j < ripple->loads; j++) {
             for (k = 0; k < 2 * ripple->orders; k++) {
-                double *part = &ripple->part[i / 2][i % 2][j][k / 2][k % 2];
+                double *part = &ripple->part[i / 4][i / 2 % 2][i % 2][j][k / 2][k % 2];
                 *part = reader_number(reader);
                 reader->failed |= !(fabs(*part) < 1e3);
             }
