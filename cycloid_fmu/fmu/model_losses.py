@@ -245,8 +245,7 @@ def _even_angles(drive: DriveValue) -> Array:
     turns, count = round(abs(drive.pair.ratio)), _ANGLES
     while math.gcd(count, turns * (turns * turns - 1)) > 1:
         count += 1
-    angles: Array = np.arange(count) * (2.0 * math.pi * turns / count)
-    return angles
+    return np.linspace(0.0, 2.0 * math.pi * turns, count, endpoint=False)
 
 
 def _scattered_angles(drive: DriveValue, count: int) -> Array:
