@@ -17,6 +17,7 @@ STATES = {
     "kinematic": [],
     "compliant": [*STRAINS, "dissipated_energy"],
     "inertia": ["transmission_error", "flange_b.w", *STRAINS, "dissipated_energy"],
+    "rotor": ["flange_a.phi", "flange_a.w", *STRAINS, "dissipated_energy"],
     "joint": ["flange_a.phi", "flange_a.w", "transmission_error", "flange_b.w", *STRAINS, "dissipated_energy"],
 }
 
@@ -260,7 +261,7 @@ def test_directional_derivatives_are_those_of_differences(model, kind, version, 
     strains = dict(zip(STRAINS, (1e-4, -2e-4, 3e-4, 4e-3, -4e-4, 1e-6, -2e-6, 3e-6, 4e-5, -4e-6), strict=True))
     if kind == "kinematic":
         values |= {"flange_b.tau": 3e5 * deviation}
-    elif kind == "compliant":
+    elif kind in ("compliant", "rotor"):
         values |= {"flange_b.phi": 0.3 / -39.0 + deviation, "flange_b.w": 31.0 / -39.0 + 0.02, **strains}
     else:
         values |= {"transmission_error": deviation, "flange_b.w": 31.0 / -39.0 + 0.02, **strains, "flange_b.tau": 7.0}

@@ -92,7 +92,7 @@ double losses_ripple(const struct drive *drive, double load, double direction) {
     if (drive->table->offers == INTERFACE_KINEMATIC || drive->resting) {
         crank = s->placed;
     } else { /* of the cycloid stage, ideally: behind a first stage the shaft's is another */
-        crank = (drive->table->offers == INTERFACE_INERTIA ? s->turned : s->crank_angle) * drive->table->ratio / drive->ratio;
+        crank = (drive->table->offers == INTERFACE_COMPLIANT ? s->crank_angle : s->turned) * drive->table->ratio / drive->ratio;
     }
     load = fmin(fabs(load), ripple->load[ripple->loads - 1]);
     while (load > ripple->load[j]) {
