@@ -265,6 +265,8 @@ def test_directional_derivatives_are_those_of_differences(model, kind, version, 
         values |= {"flange_b.phi": 0.3 / -39.0 + deviation, "flange_b.w": 31.0 / -39.0 + 0.02, **strains}
     else:
         values |= {"transmission_error": deviation, "flange_b.w": 31.0 / -39.0 + 0.02, **strains, "flange_b.tau": 7.0}
+    if kind == "rotor":
+        values |= {"arm_inertia": 1.0, "motor_stiffness": 0.1, "motor_damping": 0.1}
     parameters = {} if kind == "kinematic" else {"mesh_damping": 25.0}
     found.put({**values, **parameters})
     knowns = [n for n in dict.fromkeys([*found.inputs, *found.states]) if n != "dissipated_energy"]
@@ -325,6 +327,11 @@ def test_in_co_simulation_derivatives_are_those_at_the_step_made(model):
     # Inertias inside move only in the step.
     still = model("joint", slave=True)
     assert (still.directional(["flange_b.phi", "flange_b.w"], ["flange_b.tau"], [1.0]) == 0.0).all()
+    alone = model("rotor", slave=True)
+    of_arm = alone.directional(
+        ["flange_a.phi", "flange_b.tau", "arm_angle", "transmission_error"], ["flange_b.phi"], [1.0]
+    )
+    assert of_arm.tolist() == [0.0, 0.0, 0.0, 1.0]
 
 
 def test_a_derivative_by_an_output_is_refused(model):
