@@ -21,6 +21,7 @@ INTERFACES = {
     "both inside": Interface(
         "compliant", output_inertia=1.0, crank_inertia=1e-3, support_flange=True, input_friction=WARM
     ),
+    "rotor inside": Interface("compliant", crank_inertia=1e-3, support_flange=True, input_friction=WARM),
 }
 SECTIONS: tuple[tuple[str, str, Callable[[Variable], bool]], ...] = (
     (
@@ -58,8 +59,8 @@ INTRODUCTION = f"""# FMU variables
 
 The variables of an FMU of `cycloid-fmu build` and their causality in each [interface](../fmu.md), – where the
 interface lacks one. *Inertia inside* is the compliant interface with `--output-inertia`, *both inside* with
-`--crank-inertia` as well. `support` is there only with `--support-flange`. FMI 2.0 and 3.0 have the same
-names and value references. In the FMU of an RV reducer `flange_a` is the sun. Parameters that a
+`--crank-inertia` as well, *rotor inside* with `--crank-inertia` alone. `support` is there only with
+`--support-flange`. FMI 2.0 and 3.0 have the same names and value references. In the FMU of an RV reducer `flange_a` is the sun. Parameters that a
 [native FMU](../native.md) has in its tables are *constants* there: they can be read but not set.
 
 Values are in the first unit, those in brackets are display units. Ranges and starts are those of `examples/{EXAMPLE}`;

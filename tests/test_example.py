@@ -179,6 +179,15 @@ def test_the_rv_paper_s_tables(tmp_path, example):
 
 
 @pytest.mark.slow(15)
+def test_an_fmu_beside_mujoco(example):
+    """At the steps of a robot simulator the arm is where it is with all inertias in one model."""
+    pytest.importorskip("mujoco")
+    off = re.findall(r"^(\d) ms: ([\d.]+) mrad rms", example("fmu_beside_mujoco.py"), re.M)
+    assert [step for step, _ in off] == ["1", "2"]
+    assert max(float(rms) for _, rms in off) < 0.02
+
+
+@pytest.mark.slow(15)
 def test_two_link_arm(tmp_path, example):
     """Play, friction and transmission error each move the tip, and attributes alone leave out most of its deviation."""
     pytest.importorskip("mujoco")

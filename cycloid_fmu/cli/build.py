@@ -54,7 +54,9 @@ def build(
     crank_inertia: Annotated[
         float,
         commands.quantity_option(
-            "kg*m^2", "Internal inertia on the crank too, which then takes a torque as well.", show_default=False
+            "kg*m^2",
+            "Internal inertia on the crank, which then takes a torque; alone, the arm is in your tool.",
+            show_default=False,
         ),
     ] = 0.0,
     support_flange: Annotated[

@@ -112,13 +112,12 @@ def checked_interface(interface: InterfaceKind | Interface, drive: DriveValue) -
     interface = Interface(interface) if isinstance(interface, str) else interface
     if interface.kind not in INTERFACES:
         raise ArgumentError("interface", f"it must be one of {', '.join(INTERFACES)}", interface.kind)
-    if interface.output_inertia != 0.0 and interface.kind == "kinematic":
-        raise ArgumentError("output_inertia", "is only for the compliant interface")
+    for name in ("output_inertia", "crank_inertia"):
+        if getattr(interface, name) != 0.0 and interface.kind == "kinematic":
+            raise ArgumentError(name, "is only for the compliant interface")
     for name, unit in (("output_inertia", "kg*m^2"), ("crank_inertia", "kg*m^2"), ("mesh_damping", "N*m*s/rad")):
         if not 0.0 <= (getattr(interface, name) or 0.0) < math.inf:
             raise ArgumentError(name, f"it must be finite and not below zero ({unit})", getattr(interface, name))
-    if interface.crank_inertia > 0.0 and interface.output_inertia == 0.0:
-        raise ArgumentError("crank_inertia", "needs an output_inertia as well")
     if interface.thermal is not None and interface.thermal.capacity is None:
         raise ArgumentError("thermal", "needs a capacity")
     try:

@@ -37,7 +37,11 @@ rests until torque or crank move it.</p>
 {% else %}<p>Both torques are derivatives of one energy stored in the contacts. Between communication points the flanges
 continue at their speeds, so set speeds consistent with the angles. A step longer than <code>largest_step</code> is
 divided internally. {% if interface.output_inertia %}The output's inertia is internal and solved in sub-steps that
-conserve the energy balance; <code>flange_a.tau</code> is the mean over the last step{% else %}The contacts are stiff:
+conserve the energy balance; <code>flange_a.tau</code> is the mean over the last step{% elif interface.rotor_alone %}
+The {{ interface.driven }}'s inertia is internal, and the arm is in the host. Before each step set the arm's angle and
+speed, <code>arm_inertia</code> and <code>arm_torque</code>, all at its beginning; after it apply
+&minus;<code>flange_b.tau</code> to the arm over the step, and then give the arm <code>arm_angle</code>{% else
+%}The contacts are stiff:
 with a body of inertia J on the output, the step h must keep h &radic;(k/J) well below 1, with k =
 <code>torsional_stiffness</code>{% endif %}.</p>{% endif %}
 <p>A step that can't be made returns an error with a message and leaves the state unchanged.</p>

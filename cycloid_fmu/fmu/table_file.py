@@ -36,7 +36,7 @@ from cycloid_fmu.geometry.first_stage import FirstStage
 if TYPE_CHECKING:
     from cycloid_fmu.fmu.tables import Tables
 
-_INTERFACES = ("kinematic", "compliant", "inertia")
+_INTERFACES = ("kinematic", "compliant", "inertia", "rotor")
 _FIELDS = (
     "crank_angle",
     "crank_speed",
@@ -70,6 +70,10 @@ _FIELDS = (
     "crank_inertia",
     "crank_angle_start",
     "crank_speed_start",
+    "arm_angle",
+    "arm_torque_rate",
+    "motor_stiffness",
+    "motor_damping",
     "outside_range",
     "support_angle",
     "support_speed",
@@ -85,7 +89,12 @@ _FIELDS = (
     "loss_table",
 )
 
-_SHARED = {"friction_torque": "output_friction.coulomb", "heat_port.T": "temperature"}
+_SHARED = {
+    "friction_torque": "output_friction.coulomb",
+    "heat_port.T": "temperature",
+    "arm_inertia": "output_inertia",
+    "arm_torque": "torque",
+}
 """Variables whose field in the C model is another variable's in other FMUs."""
 
 
@@ -195,8 +204,9 @@ def _head(
     first_stage: FirstStage | None,
 ) -> bytearray:
     """Return the interface and its variables; and ratio, period and allowed error with the numbers of a first stage."""
-    offered = 0 if interface.kind == "kinematic" else 1 if interface.output_inertia == 0.0 else 2
-    body = bytearray(struct.pack("<I", offered) + variable_bytes(variables.values(), _field))
+    inertias = "inertia" if interface.output_inertia > 0.0 else "rotor" if interface.rotor_alone else "compliant"
+    offered = "kinematic" if interface.kind == "kinematic" else inertias
+    body = bytearray(struct.pack("<I", _INTERFACES.index(offered)) + variable_bytes(variables.values(), _field))
     stage = (0.0, 0.0, 0.0, 0.0) if first_stage is None else dataclasses.astuple(first_stage)[:4]
     return body + struct.pack("<7d", *numbers, *stage) + _ripple(interface.loss_ripple)
 

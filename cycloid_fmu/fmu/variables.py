@@ -117,6 +117,7 @@ UNITS: dict[str, tuple[dict[str, int], dict[str, float]]] = {
     "rad/s2": ({"rad": 1, "s": -2}, {}),
     "N.m": ({"kg": 1, "m": 2, "s": -2}, {}),
     "N.m/rad": ({"kg": 1, "m": 2, "s": -2, "rad": -1}, {"N.m/arcmin": np.pi / 10800}),
+    "N.m/s": ({"kg": 1, "m": 2, "s": -3}, {}),
     "N.m.s/rad": ({"kg": 1, "m": 2, "s": -1, "rad": -1}, {}),
     "rad/(N.m)": ({"kg": -1, "m": -2, "s": 2, "rad": 1}, {"arcsec/(N.m)": 648000 / np.pi}),
     "kg.m2": ({"kg": 1, "m": 2}, {}),
@@ -149,8 +150,9 @@ class Interface:
         Internal moment of inertia on the output of a compliant FMU, kg·m²; if it is above 0, the output flange takes a
         torque and gives angle and speed, as in the kinematic interface.
     crank_inertia
-        Internal moment of inertia on the crank, kg·m², in addition; if it is above 0, that flange takes a torque and
-        gives angle and speed too, and the importing tool has no stiff contact to solve.
+        Internal moment of inertia on the crank of a compliant FMU, kg·m²; if it is above 0, that flange takes a torque
+        and gives angle and speed. With `output_inertia` the importing tool has no stiff contact to solve. Without, the
+        arm stays in the tool, and the FMU takes its motion, its `arm_inertia` and the other torques on it.
     mesh_damping
         Start value of the contacts' damping in a compliant FMU, N·m·s/rad at the output; None for 0.1 ms times the
         stiffness at the rated torque, which is an assumption: vibration at resonance is inversely proportional to it.
@@ -205,6 +207,11 @@ class Interface:
     loss_ripple: LossRipple | None = None
 
     @property
+    def rotor_alone(self) -> bool:
+        """Whether the crank's inertia is inside and the output's is not."""
+        return self.crank_inertia > 0.0 and self.output_inertia == 0.0
+
+    @property
     def laws(self) -> tuple[Law, Law]:
         """Friction at both flanges."""
         return self.input_friction.law(0), self.output_friction.law(1)
@@ -222,7 +229,8 @@ class Interface:
     @property
     def step(self) -> float:
         """Suggested communication step, s; shorter if stiff contacts connect external inertias."""
-        return SUGGESTED_STEP if self.kind == "compliant" and self.output_inertia == 0.0 else 1e-3
+        both_outside = self.output_inertia == 0.0 and self.crank_inertia == 0.0
+        return SUGGESTED_STEP if self.kind == "compliant" and both_outside else 1e-3
 
 
 @dataclass(frozen=True)
@@ -288,6 +296,29 @@ def stiffness_text(pair: Pair, interface: Interface) -> str:
     return text
 
 
+def _arm(driven: str) -> list[Variable]:
+    """Return what a step takes of the arm in the host and of the motor's controller."""
+
+    def taken(name: str, text: str, unit: str, nominal: float, least: float | None = None) -> Variable:
+        return Variable(name, text, "input", unit=unit, least=least, nominal=nominal, start=0.0)
+
+    of_all = "torque of everything but the drive on arm_inertia"
+    less = "decrease of flange_a.tau within a step per"
+    return [
+        taken(
+            "arm_inertia",
+            "inertia of the arm at flange_b with every other joint free, 1/(M^-1)_jj; to be set before the first step",
+            "kg.m2",
+            1.0,
+            0.0,
+        ),
+        taken("arm_torque", f"{of_all} at the beginning of a step, counter-clockwise", "N.m", 100.0),
+        taken("arm_torque_rate", f"rate of the {of_all}", "N.m/s", 100.0),
+        taken("motor_stiffness", f"{less} angle of the {driven}, as by its controller", "N.m/rad", 1.0, 0.0),
+        taken("motor_damping", f"{less} speed of the {driven}, as by its controller", "N.m.s/rad", 0.1, 0.0),
+    ]
+
+
 # Long as it is a table of variables, in the order of their references.
 def _flanges(pair: Pair, interface: Interface) -> list[Variable]:
     driven, dynamic = interface.driven, interface.kind == "compliant"
@@ -324,19 +355,26 @@ def _flanges(pair: Pair, interface: Interface) -> list[Variable]:
         start, nominal = 0.0 if causality == "input" else None, 10.0 if end == "a" else 100.0
         return Variable(f"flange_{end}.tau", text, causality, unit="N.m", nominal=nominal, start=start, depends=depends)
 
-    tau_b = "torque of the environment on the output, counter-clockwise"
+    hosted = both and not inside  # the arm is in the host: torque and motion of the drive belong to the last step
+    tau_b = "torque of the environment on the output, counter-clockwise" + (
+        ", mean over the last step" if hosted else ""
+    )
     tau_a = f"torque required at the {driven}" + (", mean over the last step" if moved and not both else "")
     taken = [torque("a", f"torque on the {driven}", "input")] if both else place("a", driven, "input")
     taken += [torque("b", tau_b, "input")] if inside else place("b", "output", "input")
-    every = () if moved else tuple(v.name for v in taken)
+    every = () if moved else tuple(v.name for v in taken if v.name != "flange_a.tau")
+    taken += _arm(driven) if hosted else []
     placed = tuple(n for n in every if not n.endswith(".w"))
     given = place("a", driven, "output") if both else []
     if inside:
         angle, speed = place("b", "output", "output")
         given += [dataclasses.replace(angle, depends=placed), dataclasses.replace(speed, depends=every)]
     given += [] if both else [torque("a", tau_a, "output", depends=every)]
-    given += [] if inside else [torque("b", tau_b, "output", depends=every)]
-    crank = () if moved else ("flange_a.phi",)
+    given += [] if inside else [torque("b", tau_b, "output", depends=() if hosted else every)]
+    if hosted:
+        text = "angle of the arm at the end of the last step, to be given to the host's"
+        given.append(Variable("arm_angle", text, "output", unit="rad", display="deg", nominal=1.0))
+    crank = () if both or moved else ("flange_a.phi",)
     given += [
         Variable(
             "transmission_error",
@@ -436,7 +474,7 @@ def _further(interface: Interface) -> list[Variable]:
     """Variables added after the first version, last so that earlier references do not change."""
     moving = (
         ()
-        if interface.output_inertia > 0.0
+        if interface.output_inertia > 0.0 or interface.rotor_alone
         else (
             "flange_a.phi",
             "flange_a.w",
@@ -478,7 +516,8 @@ def _further(interface: Interface) -> list[Variable]:
                 )
             )
     if interface.kind == "compliant":
-        still = () if interface.output_inertia > 0.0 else ("flange_a.phi", "flange_b.phi")
+        taken = ("flange_b.phi",) if interface.rotor_alone else ("flange_a.phi", "flange_b.phi")
+        still = () if interface.output_inertia > 0.0 else taken
         found += [
             Variable(
                 "elastic_energy",
@@ -892,7 +931,7 @@ def states(interface: Interface) -> tuple[str, ...]:
     if interface.kind == "kinematic":
         return heat
     crank = ("flange_a.phi", "flange_a.w") if interface.crank_inertia > 0.0 else ()
-    moved = (*crank, "transmission_error", "flange_b.w") if interface.output_inertia > 0.0 else ()
+    moved = (*crank, "transmission_error", "flange_b.w") if interface.output_inertia > 0.0 else crank
     return (*moved, *_strains("input"), *_strains("output"), "dissipated_energy", *heat)
 
 
@@ -930,6 +969,7 @@ def exchanged(kept: dict[int, Variable], interface: Interface, version: Literal[
     if interface.support_flange:
         return kept
     inside, dynamic = interface.output_inertia > 0.0, interface.kind == "compliant"
+    moved = inside or interface.rotor_alone
     crank, output = _strains("input"), _strains("output")
     heat = () if interface.thermal is None else (HEAT_STATE,)
     warm = heat or (("temperature",) if interface.warms else ())
@@ -937,7 +977,7 @@ def exchanged(kept: dict[int, Variable], interface: Interface, version: Literal[
     moving = (*contact, "flange_a.w", "flange_b.w", *warm)
     inputs = tuple(v.name for v in kept.values() if v.causality == "input")
     parameters = tuple(v.name for v in kept.values() if v.causality == "parameter")
-    of_start = (*inputs, *parameters) if inside else inputs
+    of_start = (*inputs, *parameters) if moved else inputs
     more = []
 
     def add(name: str, text: str, unit: str, of: str | None, nominal: float, depends: tuple[str, ...] = ()) -> None:
@@ -981,11 +1021,15 @@ def exchanged(kept: dict[int, Variable], interface: Interface, version: Literal[
         "elastic_energy": (*contact, *crank, *output),
         "dissipated_energy": ("dissipated_energy",),
     }
-    if inside:
+    if moved:
         placed = ("torsional_stiffness", "max_contact_pressure", "contact_count", "outside_range", "flange_b.phi")
         depends |= {**dict.fromkeys(placed, contact), "backlash": ("flange_a.phi",)}
-        depends |= {name: (name,) for name in ("flange_a.phi", "flange_a.w", "transmission_error", "flange_b.w")}
-    else:
+        depends |= {name: (name,) for name in ("flange_a.phi", "flange_a.w", "flange_b.w")}
+        depends |= {
+            "transmission_error": ("transmission_error",) if inside else contact,
+            "arm_angle": ("flange_b.phi",),
+        }
+    if not inside:
         depends["flange_b.tau"] = (*moving, *output)
     if not dynamic:  # friction determines the output's position
         depends = {v.name: (*v.depends, *heat) for v in kept.values() if v.depends}
@@ -994,7 +1038,7 @@ def exchanged(kept: dict[int, Variable], interface: Interface, version: Literal[
         reference: dataclasses.replace(
             v,
             depends=depends.get(v.name, v.depends),
-            initially=of_start if inside else tuple(dict.fromkeys((*v.depends, *v.initially))),
+            initially=of_start if moved else tuple(dict.fromkeys((*v.depends, *v.initially))),
             derivative_of="dissipated_energy" if dynamic and v.name == "power_loss" else v.derivative_of,
         )
         if v.causality == "output"

@@ -27,6 +27,7 @@ KINDS = {
     "kinematic": Interface(losses=((0.0, 0.9, 0.85, 0.1, 0.1),), **RUBS),
     "compliant": Interface("compliant"),
     "inertia": Interface("compliant", 0.05),
+    "rotor": Interface("compliant", crank_inertia=1e-2, **RUBS),
     "joint": Interface("compliant", 0.05, crank_inertia=1e-2, **RUBS),
 }
 STEPS = int(float(os.environ.get("CYCLOID_STEPS", "1e6")))
@@ -71,11 +72,12 @@ def nonsense(core, v, steps, seed):
     ]
     special = [math.nan, math.inf, -math.inf, 1e9, -1e9, 0.0, 1e300, -1e-300]
     made = refused = 0
-    free = "output_inertia" not in v
+    free = "output_inertia" not in v and "crank_inertia" not in v
     crank = 0.0
     for number in range(steps):
         # An inertia follows no jumps.
-        crank = random.uniform(-1e3, 1e3) if free else crank + random.normal(0.0, 0.005)
+        if "arm_inertia" not in v:
+            crank = random.uniform(-1e3, 1e3) if free else crank + random.normal(0.0, 0.005)
         for name in inputs:
             if random.random() < 0.02:
                 value = random.choice(special)
@@ -85,6 +87,8 @@ def nonsense(core, v, steps, seed):
                 value = crank / ERRORS.ratio + random.normal(0.0, 3e-4)
             elif name == "flange_a.tau":
                 value = random.normal(0.0, 1.0)
+            elif name == "arm_inertia" or name.startswith("motor_"):
+                value = random.exponential(1.0)
             else:
                 value = random.normal(0.0, 20.0 if name.endswith(".w") else 100.0)
             core.put(v[name], value)
@@ -103,6 +107,8 @@ def nonsense(core, v, steps, seed):
             made += 1
             values = [x for i in outputs for x in np.ravel(core.clockwork.value(i))]
             assert np.all(np.isfinite(values)), core.clockwork.state()
+            if "arm_inertia" in v:
+                crank = core.clockwork.value(v["flange_a.phi"])
     return made, refused
 
 
@@ -117,7 +123,7 @@ def test_no_nonsense_gives_anything_but_numbers_or_a_refusal(resources, kind):
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_million_steps_of_nonsense(resources, kind, record_property):
     core, v = started(resources(kind))
-    steps = STEPS // {"kinematic": 2, "compliant": 6, "inertia": 30, "joint": 90}[kind]
+    steps = STEPS // {"kinematic": 2, "compliant": 6, "inertia": 30, "rotor": 90, "joint": 90}[kind]
     made, refused = nonsense(core, v, steps, 4)
     record_property(f"{kind}: random steps made and refused, none with a number that is none", f"{made} and {refused}")
     assert min(made, refused) > 0.01 * steps
@@ -142,6 +148,9 @@ def test_states_taken_and_restored_at_random_reproduce_bit_by_bit(resources, kin
                 core.put(v["flange_a.tau"], 0.2 * speed)
             if "flange_b.tau" in v and core.table[v["flange_b.tau"]].causality == "input":
                 core.put(v["flange_b.tau"], load)
+            elif "arm_inertia" in v:
+                core.put(v["flange_b.phi"], core.clockwork.value(v["flange_a.phi"]) / ERRORS.ratio + load * 3e-6)
+                core.put(v["arm_inertia"], 0.5)
             else:
                 core.put(v["flange_b.phi"], crank / ERRORS.ratio + load * 3e-6)
             assert core.step(0.0, 1e-3) == ""

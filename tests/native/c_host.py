@@ -22,6 +22,7 @@ INTERFACES = {
     "kinematic": Interface(losses=((0.0, 0.9, 0.85, 0.01, 0.02), (100.0, 0.95, 0.9, 0.02, 0.03))),
     "compliant": Interface("compliant", mesh_damping=0.0),
     "inertia": Interface("compliant", 0.5, mesh_damping=0.0),
+    "rotor": Interface("compliant", crank_inertia=1e-3, mesh_damping=0.0),
 }
 RIPPLE = LossRipple(  # of 5 to 30 % of the losses in `INTERFACES`
     orders=(1.0, 40.0 / 39.0, 40.0),

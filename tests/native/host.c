@@ -9,7 +9,7 @@
    host LIBRARY RESOURCES GUID KIND time STEPS      nanoseconds a step: set the inputs, step, get two outputs
    host LIBRARY RESOURCES GUID KIND open            instantiates and frees a hundred times, eight at once
 
-   KIND is kinematic, compliant or inertia (compliant with an inertia inside). The inputs come first in the value
+   KIND is kinematic, compliant, inertia or rotor (compliant with the output's or the crank's inertia inside). The inputs come first in the value
    references: flange_a.phi, flange_a.w, then flange_b.tau, or flange_b.phi and flange_b.w (compliant). The outputs
    follow, up to max_contact_pressure, 9. Or KIND is compensator: desired_angle, desired_speed, load_torque, the outputs
    from 9 on, and the other inputs. */
@@ -67,13 +67,13 @@ static const char *utf8(const char *word) { return word; }
 #define IMPORT(NAME) static NAME##TYPE *NAME##_;
 EACH(IMPORT)
 
-enum { MOST_INPUTS = 4, REFERENCES = 10 };
+enum { MOST_INPUTS = 8, REFERENCES = 10 };
 static const Reference OF_DRIVE[REFERENCES] = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9};
 static const Reference OF_COMPENSATOR[REFERENCES] = {0, 1, 2, 9, 10, 11, 12, 3, 4, 5};
 static const Reference *references = OF_DRIVE;
 static const double RATIO = -39.0;
 static const char *resources, *guid;
-static int inputs_count, inertia, messages;
+static int inputs_count, inertia, rotor, messages;
 
 static void fail(const char *what) {
     fprintf(stderr, "FAILED: %s\n", what);
@@ -205,7 +205,11 @@ static void motion(int i, double *inputs) {
     double t = 1e-3 * i;
     inputs[0] = 3.0 * sin(2.0 * t) + 0.5 * t;
     inputs[1] = 6.0 * cos(2.0 * t) + 0.5;
-    if (inertia) { /* what stands at first is not thrown about */
+    if (rotor) { /* an arm that swings by less than the drive follows */
+        const double arm[MOST_INPUTS] = {0.02 * sin(5.0 * t), 1e-4 * sin(5.0 * t), 5e-4 * cos(5.0 * t), 2.0,
+                                         20.0 * sin(7.0 * t), 140.0 * cos(7.0 * t), 0.01, 0.001};
+        memcpy(inputs, arm, sizeof arm);
+    } else if (inertia) { /* what stands at first is not thrown about */
         inputs[0] = 3.0 * (1.0 - cos(2.0 * t));
         inputs[1] = 6.0 * sin(2.0 * t);
         inputs[2] = 20.0 * sin(5.0 * t);
@@ -221,7 +225,11 @@ static void motion(int i, double *inputs) {
 static void anywhere(double *inputs) {
     inputs[0] = 40.0 * (uniform() - 0.5);
     inputs[1] = 400.0 * (uniform() - 0.5);
-    if (inertia) { /* kicks that don't add up to a swing beyond the tables */
+    if (rotor) {
+        const double arm[MOST_INPUTS] = {0.1 * (uniform() - 0.5), 2e-4 * (uniform() - 0.5), 0.0, 0.5 + uniform(),
+                                         40.0 * (uniform() - 0.5), 200.0 * (uniform() - 0.5), 0.01 * uniform(), 0.01};
+        memcpy(inputs, arm, sizeof arm);
+    } else if (inertia) { /* kicks that don't add up to a swing beyond the tables */
         inputs[0] = 1e-4 * (uniform() - 0.5);
         inputs[1] = 0.0;
         inputs[2] = 2.0 * (uniform() - 0.5);
@@ -441,8 +449,9 @@ int main(int count, char **words) {
     resources = utf8(words[2]);
     guid = words[3];
     inertia = strcmp(words[4], "inertia") == 0;
+    rotor = strcmp(words[4], "rotor") == 0;
     references = strcmp(words[4], "compensator") == 0 ? OF_COMPENSATOR : OF_DRIVE;
-    inputs_count = strcmp(words[4], "compliant") == 0 ? 4 : 3;
+    inputs_count = rotor ? MOST_INPUTS : strcmp(words[4], "compliant") == 0 ? 4 : 3;
     if (strcmp(what, "run") == 0) {
         run(steps);
     } else if (strcmp(what, "random") == 0) {

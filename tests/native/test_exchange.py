@@ -17,6 +17,7 @@ STATES = {
     "kinematic": [],
     "compliant": [*STRAINS, "dissipated_energy"],
     "inertia": ["transmission_error", "flange_b.w", *STRAINS, "dissipated_energy"],
+    "rotor": ["flange_a.phi", "flange_a.w", *STRAINS, "dissipated_energy"],
     "joint": ["flange_a.phi", "flange_a.w", "transmission_error", "flange_b.w", *STRAINS, "dissipated_energy"],
 }
 
@@ -260,10 +261,12 @@ def test_directional_derivatives_are_those_of_differences(model, kind, version, 
     strains = dict(zip(STRAINS, (1e-4, -2e-4, 3e-4, 4e-3, -4e-4, 1e-6, -2e-6, 3e-6, 4e-5, -4e-6), strict=True))
     if kind == "kinematic":
         values |= {"flange_b.tau": 3e5 * deviation}
-    elif kind == "compliant":
+    elif kind in ("compliant", "rotor"):
         values |= {"flange_b.phi": 0.3 / -39.0 + deviation, "flange_b.w": 31.0 / -39.0 + 0.02, **strains}
     else:
         values |= {"transmission_error": deviation, "flange_b.w": 31.0 / -39.0 + 0.02, **strains, "flange_b.tau": 7.0}
+    if kind == "rotor":
+        values |= {"arm_inertia": 1.0, "motor_stiffness": 0.1, "motor_damping": 0.1}
     parameters = {} if kind == "kinematic" else {"mesh_damping": 25.0}
     found.put({**values, **parameters})
     knowns = [n for n in dict.fromkeys([*found.inputs, *found.states]) if n != "dissipated_energy"]
@@ -324,6 +327,11 @@ def test_in_co_simulation_derivatives_are_those_at_the_step_made(model):
     # Inertias inside move only in the step.
     still = model("joint", slave=True)
     assert (still.directional(["flange_b.phi", "flange_b.w"], ["flange_b.tau"], [1.0]) == 0.0).all()
+    alone = model("rotor", slave=True)
+    of_arm = alone.directional(
+        ["flange_a.phi", "flange_b.tau", "arm_angle", "transmission_error"], ["flange_b.phi"], [1.0]
+    )
+    assert of_arm.tolist() == [0.0, 0.0, 0.0, 1.0]
 
 
 def test_a_derivative_by_an_output_is_refused(model):

@@ -18,6 +18,7 @@ KINDS = {
     "compliant": Interface("compliant", losses=((0.0, 0.9, 0.85, 0.02, 0.03),), mesh_damping=20.0),
     "inertia": Interface("compliant", 0.5, mesh_damping=20.0),
     "joint": Interface("compliant", 0.5, crank_inertia=1e-3, mesh_damping=20.0),
+    "rotor": Interface("compliant", crank_inertia=1e-3, mesh_damping=20.0),
 }
 STARTS = {"series_compliance": 5e-6, "friction_torque": 2.0}
 
@@ -86,7 +87,10 @@ def motion(kind, i, ratio):
     at_a, at_b = {"flange_a.phi": crank, "flange_a.w": speed}, {"flange_b.tau": 30.0 * math.sin(70.0 * t)}
     if kind == "compliant":
         at_b = {"flange_b.phi": crank / ratio + off, "flange_b.w": speed / ratio + rate}
-    return {**({"flange_a.tau": 0.5 * math.cos(40.0 * t)} if kind == "joint" else at_a), **at_b}
+    if kind == "rotor":
+        at_b = {"flange_b.phi": 1e-4 * math.sin(50.0 * t), "flange_b.w": 5e-3 * math.cos(50.0 * t)}
+        at_b |= {"arm_inertia": 0.5, "arm_torque": 30.0 * math.sin(70.0 * t)}
+    return {**({"flange_a.tau": 0.5 * math.cos(40.0 * t)} if kind in ("joint", "rotor") else at_a), **at_b}
 
 
 OUTPUTS = ("flange_a.tau", "flange_b.tau", "transmission_error", "torsional_stiffness", "power_loss")
@@ -97,11 +101,9 @@ def test_what_turns_along_with_the_housing_changes_nothing(instance, drive, kind
     """Seen from a housing that turns evenly all is as in a fixed one; the three torques are in balance."""
     turning, ratio = 3.0, drive.pair.ratio
     start = {name: value for name, value in motion(kind, 0, ratio).items() if not name.endswith("tau")}
-    begun = (
-        {"crank_speed_start": turning}
-        if kind == "joint"
-        else {n: v + turning * n.endswith(".w") for n, v in start.items()}
-    )
+    begun = {"crank_speed_start": turning} if kind in ("joint", "rotor") else {}
+    if kind != "joint":
+        begun |= {n: v + turning * n.endswith(".w") for n, v in start.items()}
     still = instance(kind, support=False, **start)
     moved = instance(kind, **{"support.w": turning}, **begun)
     if kind == "inertia":
@@ -112,7 +114,7 @@ def test_what_turns_along_with_the_housing_changes_nothing(instance, drive, kind
         angle = turning * 1e-3 * i
         shift = {".phi": angle, ".w": turning, ".tau": 0.0}
         moved.put({"support.phi": angle, "support.w": turning})
-        moved.put({n: v + next(s for end, s in shift.items() if n.endswith(end)) for n, v in given.items()})
+        moved.put({n: v + next((s for end, s in shift.items() if n.endswith(end)), 0.0) for n, v in given.items()})
         still.step(1e-3 * i, 1e-3)
         moved.step(1e-3 * i, 1e-3)
         a, b = still.get(*OUTPUTS), moved.get(*OUTPUTS)

@@ -1,4 +1,5 @@
-/* The compliant interface: both flanges with prescribed motion, or inertias inside. Contacts, series compliance and friction
+/* The compliant interface: both flanges with prescribed motion, or inertias inside; or the rotor's inside and the arm in the
+   host, of which each step takes angle, speed, inertia and torque (docs/theory/joint.md). Contacts, series compliance and friction
    store one energy E(θ, φ_b) whose derivatives are the torques, so a closed cycle gains no energy; damping, losses and
    sliding friction only dissipate. Between communication points the flanges continue at their speeds, so that the torques
    at the end of a step are not a step late. The motion of inertias inside is solved in sub-steps that conserve the energy
@@ -37,13 +38,17 @@ double compliant_load(const struct drive *drive, int flange) {
     return flange == OUTPUT ? drive->pressed.by_rotation : drive->pressed.by_angle - drive->damping / drive->ratio;
 }
 
+/* Rotation of a flange since friction has followed it. */
+double compliant_way(const struct drive *drive, int flange) {
+    const struct state *s = &drive->state;
+    return flange == OUTPUT ? s->output_angle - s->seen : drive_angle(drive) - s->crank_seen;
+}
+
 /* Friction at the present angle and speed, which may have been set since the last step. */
 struct rubbing compliant_rubbing(const struct drive *drive, int flange) {
     const struct state *s = &drive->state;
-    double way = flange == OUTPUT ? s->output_angle - s->seen
-        : drive->table->offers == INTERFACE_INERTIA ? 0.0 : s->crank_angle - s->crank_seen;
-    return friction_press(drive, flange, way, flange == OUTPUT ? s->output_speed : s->crank_speed, compliant_load(drive, flange),
-                          PRESLIDING_TIME);
+    return friction_press(drive, flange, compliant_way(drive, flange), flange == OUTPUT ? s->output_speed : s->crank_speed,
+                          compliant_load(drive, flange), PRESLIDING_TIME);
 }
 
 static void move_on(struct drive *drive, int flange, double way, double time, double load) {
@@ -53,10 +58,28 @@ static void move_on(struct drive *drive, int flange, double way, double time, do
     drive->state.dissipated_energy += slid.lost;
 }
 
+/* The torques of the teeth at both flanges; friction follows the angles that were set since the last step. */
+static int follow(struct drive *drive, double load[2], char message[MESSAGE_SIZE]) {
+    int flange;
+    drive->solved = 0;
+    if (compliant_solve(drive, message)) {
+        return 1;
+    }
+    for (flange = INPUT; flange <= OUTPUT; flange++) {
+        const double way = compliant_way(drive, flange);
+        load[flange] = compliant_load(drive, flange);
+        if (drive->rubs[flange] && way != 0.0) {
+            move_on(drive, flange, way, 0.0, load[flange]);
+        }
+    }
+    return 0;
+}
+
 /* Move both flanges at constant speed; the dissipation is summed over parts of the step. */
 int compliant_move(struct drive *drive, double step, char message[MESSAGE_SIZE]) {
     struct state *s = &drive->state;
-    double crank = s->crank_angle, output = s->output_angle, before = 0.0, load[2] = {0.0, 0.0};
+    const double crank = s->crank_angle, output = s->output_angle;
+    double before = 0.0, load[2] = {0.0, 0.0};
     const double way[2] = {s->crank_speed * step, s->output_speed * step};
     int count = 1, i, flange, rubs = drive->rubs[INPUT] || drive->rubs[OUTPUT], damped = s->mesh_damping > 0.0;
     if (rubs || damped) {
@@ -69,17 +92,10 @@ int compliant_move(struct drive *drive, double step, char message[MESSAGE_SIZE])
                           MOST_SUB_STEPS);
         }
         count = (int)parts;
-        drive->solved = 0;
-        if (compliant_solve(drive, message)) {
+        if (follow(drive, load, message)) {
             return 1;
         }
         before = compliant_power(drive);
-        for (flange = INPUT; flange <= OUTPUT; flange++) { /* friction follows the angles that were set */
-            load[flange] = compliant_load(drive, flange);
-            if (drive->rubs[flange]) {
-                move_on(drive, flange, flange == INPUT ? crank - s->crank_seen : output - s->seen, 0.0, load[flange]);
-            }
-        }
     }
     for (i = 1; i <= count; i++) {
         s->seen = s->output_angle = output + way[OUTPUT] * i / count;
@@ -127,9 +143,11 @@ static double by_phase(const struct drive *drive, const struct pressed *at) {
     return at->by_angle + at->by_rotation / drive->ratio;
 }
 
-/* A sub-step: displacements of crank and output; stored energy at half the crank's displacement, before and after the
+/* A sub-step: torques on output and crank, that on the crank less by `servo` times its displacement; displacements of crank
+   and output; stored energy at half the crank's displacement, before and after the
    change of the transmission error, and at the end; mean torques. */
 struct swing {
+    double load, drives, servo;
     double turn, way, damping, crank_torque;
     struct slid rubbed[2]; /* friction at crank and output, with its strains at the end in `strain` */
     double strain[2][FRICTION_ELEMENTS];
@@ -151,9 +169,9 @@ static int swing(struct drive *drive, double part, struct pressed *at, struct sw
     int i, last = 0;
     memset(w->rubbed, 0, sizeof w->rubbed);
     memcpy(w->strain, s->strain, sizeof w->strain);
-    w->way = part * s->output_speed + (s->torque - at->by_rotation) / b;
+    w->way = part * s->output_speed + (w->load - at->by_rotation) / b;
     if (!held) {
-        w->turn = part * s->crank_speed + (s->crank_torque - at->by_angle) / a;
+        w->turn = part * s->crank_speed + (w->drives - w->servo * part * s->crank_speed - at->by_angle) / a;
     }
     for (i = 0; i < MOST_ITERATIONS; i++) {
         struct mean contact, crank;
@@ -175,7 +193,7 @@ static int swing(struct drive *drive, double part, struct pressed *at, struct sw
         }
         k = contact.slope + damped;
         r = b + w->rubbed[OUTPUT].slope + k;
-        missing = s->torque - contact.value - w->damping - w->rubbed[OUTPUT].torque
+        missing = w->load - contact.value - w->damping - w->rubbed[OUTPUT].torque
             - b * (w->way - part * s->output_speed);
         if (!held || last) {
             crank = mean_over(w->turn, SAME_PLACE * fabs(ratio), w->before.energy - at->energy + w->end.energy - w->after.energy,
@@ -191,8 +209,9 @@ static int swing(struct drive *drive, double part, struct pressed *at, struct sw
         if (held) {
             change = missing / r;
         } else {
-            missing_a = s->crank_torque - w->crank_torque - w->rubbed[INPUT].torque - a * (w->turn - part * s->crank_speed);
-            q = a + w->rubbed[INPUT].slope;
+            missing_a = w->drives - w->servo * w->turn - w->crank_torque - w->rubbed[INPUT].torque
+                - a * (w->turn - part * s->crank_speed);
+            q = a + w->servo + w->rubbed[INPUT].slope;
             k /= ratio;
             missing /= q * r + (r - k * ratio) * k / ratio;
             missing_a /= q * r + (r - k * ratio) * k / ratio;
@@ -229,15 +248,20 @@ int compliant_swing(struct drive *drive, double step, char message[MESSAGE_SIZE]
     const double ratio = drive->ratio;
     const int held = s->crank_inertia == 0.0;
     const double goal = s->crank_angle + s->crank_speed * step, before = s->dissipated_energy;
-    const double speed_before = s->output_speed;
-    double remaining = step, work = 0.0, count = 0.0, rest = 1.0;
+    const double speed_before = s->output_speed, crank_before = s->crank_angle, crank_speed_before = s->crank_speed;
+    double remaining = step, work = 0.0, count = 0.0, rest = 1.0, load[2];
     struct pressed at;
+    if (step > 0.0 && !(s->output_inertia > 0.0)) {
+        return drive_refuse(message, "arm_inertia = %g: before a step set it to the arm's inertia at flange_b, above %g kg.m2.",
+                            s->output_inertia, 0.0);
+    }
     if (held && step == 0.0) {
         s->turned = s->crank_angle;
     }
-    if (teeth_press(drive, s->turned, s->output_angle - s->turned / ratio, &at, message)) {
+    if (follow(drive, load, message)) {
         return 1;
     }
+    at = drive->pressed;
     s->outside = 0.0;
     while (remaining > 0.0) {
         double speed = held ? (goal - s->turned) / remaining : s->crank_speed;
@@ -249,6 +273,9 @@ int compliant_swing(struct drive *drive, double step, char message[MESSAGE_SIZE]
                           "or so small an inertia.", step, MOST_SUB_STEPS);
         }
         w.turn = speed * part;
+        w.load = s->torque + s->torque_rate * (step - remaining + 0.5 * part);
+        w.drives = s->crank_torque - s->motor_stiffness * (s->turned - crank_before) + s->motor_damping * crank_speed_before;
+        w.servo = 0.5 * s->motor_stiffness + s->motor_damping / part;
         result = swing(drive, part, &at, &w, message);
         if (result == FAILED) {
             return 1;
@@ -275,11 +302,12 @@ int compliant_swing(struct drive *drive, double step, char message[MESSAGE_SIZE]
             break;
         }
     }
-    s->crank_angle = s->turned;
+    s->crank_angle = s->crank_seen = s->turned;
     drive->remaining = remaining;
     if (step > remaining) {
         s->mean_torque = work / (step - remaining);
-        s->mean_output = s->torque - s->output_inertia * (s->output_speed - speed_before) / (step - remaining);
+        s->mean_output = s->torque + 0.5 * s->torque_rate * (step - remaining)
+            - s->output_inertia * (s->output_speed - speed_before) / (step - remaining);
         s->mean_loss = (s->dissipated_energy - before) / (step - remaining);
     }
     return 0;

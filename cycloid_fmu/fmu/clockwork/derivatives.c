@@ -40,8 +40,7 @@ static double rubbing_going(const struct drive *drive, int flange, const struct 
     double at = flange == INPUT ? s->crank_speed : s->output_speed, bears = compliant_load(drive, flange);
     double size, passed, torque[2];
     int i, j;
-    passed = flange == OUTPUT ? s->output_angle - s->seen
-        : drive->table->offers == INTERFACE_INERTIA ? 0.0 : s->crank_angle - s->crank_seen;
+    passed = compliant_way(drive, flange);
     if (!drive->rubs[flange]) {
         return 0.0;
     }
@@ -224,7 +223,8 @@ int derivative_of(struct drive *drive, const struct direction *direction, const 
         if (failed) {
             return 1;
         }
-        if (!drive->exchange && drive->table->offers == INTERFACE_INERTIA) {
+        if (!drive->exchange && drive_swings(drive)
+            && (drive->table->offers == INTERFACE_INERTIA || unknown->field == TORQUE)) {
             return 0; /* outputs belong to the last step */
         }
         failed = drive_kinematic(drive) ? of_kinematic(drive, unknown->field, &direction->along, value)

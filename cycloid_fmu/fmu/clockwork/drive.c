@@ -19,9 +19,13 @@ int drive_kinematic(const struct drive *drive) {
     return drive->table->offers == INTERFACE_KINEMATIC;
 }
 
+int drive_swings(const struct drive *drive) {
+    return drive->table->offers == INTERFACE_INERTIA || drive->table->offers == INTERFACE_ROTOR;
+}
+
 double drive_angle(const struct drive *drive) {
     const struct state *s = &drive->state;
-    return drive_kinematic(drive) ? s->placed : drive->table->offers == INTERFACE_INERTIA ? s->turned : s->crank_angle;
+    return drive_kinematic(drive) ? s->placed : drive_swings(drive) ? s->turned : s->crank_angle;
 }
 
 double drive_crank_angle(const struct drive *drive) {
@@ -34,8 +38,7 @@ static int move_flanges(struct drive *drive, double step, char message[MESSAGE_S
     if (drive_kinematic(drive)) {
         return kinematic_follow(drive, message);
     }
-    if (drive->table->offers == INTERFACE_INERTIA ? compliant_swing(drive, step, message)
-                                                     : compliant_move(drive, step, message)) {
+    if (drive_swings(drive) ? compliant_swing(drive, step, message) : compliant_move(drive, step, message)) {
         return 1;
     }
     s->support_angle += s->support_speed * step;
@@ -140,23 +143,24 @@ int drive_start(struct drive *drive, char message[MESSAGE_SIZE]) {
     if (heat_stored(drive)) {
         drive->state.temperature = drive->state.temperature_start;
     }
-    if (!failed && drive->table->offers == INTERFACE_INERTIA) {
+    if (!failed && drive_swings(drive)) {
         struct state *s = &drive->state;
         if (s->crank_inertia > 0.0) {
             s->crank_angle = s->crank_angle_start;
             s->crank_speed = s->crank_speed_start;
         }
         s->turned = s->crank_angle;
-        failed = rest_on_load(drive, message);
+        failed = drive->table->offers == INTERFACE_INERTIA && rest_on_load(drive, message);
     }
     drive->state.seen = drive->state.output_angle;
     drive->state.crank_seen = drive->state.crank_angle;
     failed = failed || guarded(drive, 0.0, message);
-    if (!failed && drive->table->offers == INTERFACE_INERTIA) {
-        struct rubbing crank = compliant_rubbing(drive, INPUT);
+    if (!failed && drive_swings(drive)) {
+        const struct rubbing crank = compliant_rubbing(drive, INPUT), output = compliant_rubbing(drive, OUTPUT);
         drive->state.mean_torque = drive->pressed.by_angle - drive->damping / drive->ratio + crank.torque;
-        drive->state.mean_loss = compliant_power(drive) + crank.power + compliant_rubbing(drive, OUTPUT).power;
-        drive->state.mean_output = drive->state.torque;
+        drive->state.mean_loss = compliant_power(drive) + crank.power + output.power;
+        drive->state.mean_output = drive->table->offers == INTERFACE_INERTIA
+            ? drive->state.torque : drive->pressed.by_rotation + drive->damping + output.torque;
     }
     exchange_keep(drive);
     if (!drive_kinematic(drive)) {
@@ -196,6 +200,9 @@ double *drive_stored(struct state *s, const struct variable *variable) {
     case CRANK_INERTIA: return &s->crank_inertia;
     case CRANK_ANGLE_START: return &s->crank_angle_start;
     case CRANK_SPEED_START: return &s->crank_speed_start;
+    case ARM_TORQUE_RATE: return &s->torque_rate;
+    case MOTOR_STIFFNESS: return &s->motor_stiffness;
+    case MOTOR_DAMPING: return &s->motor_damping;
     case SUPPORT_ANGLE: return &s->support_angle;
     case SUPPORT_SPEED: return &s->support_speed;
     case TRANSMISSION_ERROR: return &s->transmission_error;
@@ -354,19 +361,22 @@ static double output(struct drive *drive, int field) {
             torque = kinematic_crank_torque(drive);
             return torque + kinematic_rubbing(drive, INPUT, torque).torque;
         }
-        if (drive->table->offers == INTERFACE_INERTIA) {
+        if (drive_swings(drive)) {
             return s->mean_torque;
         }
         return drive->pressed.by_angle - drive->damping / ratio + compliant_rubbing(drive, INPUT).torque;
     case CRANK_ANGLE: return drive_angle(drive) + s->support_angle;
     case CRANK_SPEED: return s->crank_speed + s->support_speed;
     case OUTPUT_ANGLE: return s->output_angle + s->support_angle;
+    case ARM_ANGLE: return s->seen + s->support_angle;
     case OUTPUT_SPEED: return (still ? kinematic_speed(drive) : s->output_speed) + s->support_speed;
     case SUPPORT_TORQUE:
-        return -(output(drive, CRANK_TORQUE)
-                 + (still ? s->torque
-                          : drive->table->offers == INTERFACE_INERTIA ? s->mean_output : output(drive, TORQUE)));
-    case TORQUE: return drive->pressed.by_rotation + drive->damping + compliant_rubbing(drive, OUTPUT).torque;
+        return -(output(drive, CRANK_TORQUE) + (still ? s->torque : output(drive, TORQUE)));
+    case TORQUE:
+        if (drive_swings(drive) && !drive->exchange) {
+            return s->mean_output;
+        }
+        return drive->pressed.by_rotation + drive->damping + compliant_rubbing(drive, OUTPUT).torque;
     case TRANSMISSION_ERROR: return still ? s->transmission_error : s->output_angle - drive_angle(drive) / ratio;
     case BACKLASH:
         return s->backlash_on == 0.0 ? 0.0 : drive->b == 0.0 ? teeth_width(drive, drive_crank_angle(drive))
@@ -386,7 +396,7 @@ static double output(struct drive *drive, int field) {
         if (still) {
             return kinematic_power(drive);
         }
-        if (drive->table->offers == INTERFACE_INERTIA) {
+        if (drive_swings(drive)) {
             return s->mean_loss;
         }
         return drive->exchange ? exchange_rate(drive, DISSIPATED_ENERGY)

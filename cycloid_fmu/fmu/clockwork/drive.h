@@ -16,7 +16,7 @@ struct friction {
 /* Everything that later steps and outputs depend on: only doubles, so that it can be stored as it is. */
 struct state {
     double time;
-    double crank_angle, crank_speed, torque; /* torque: the input, or the load on the inertia; else unused */
+    double crank_angle, crank_speed, torque; /* torque: the input, or that on the inertia; else unused */
     double output_angle, output_speed;       /* in the kinematic interface the speed is computed on request */
     double temperature, series_compliance, backlash_on, mesh_damping, largest_step, output_inertia;
     double settled, placed, transmission_error, load, side, pushed; /* kinematic: at the last step */
@@ -32,6 +32,9 @@ struct state {
     /* Of the heat capacity, which is 0 without one, and of what it is given besides the losses. */
     double heat_capacity, thermal_resistance, ambient_temperature, heat_flow, temperature_start;
     double crank_torque, crank_inertia, crank_angle_start, crank_speed_start; /* of a crank with an inertia */
+    /* With the arm in the host, whose inertia is `output_inertia`: the rate of `torque`, and how much less the motor's torque
+       is per angle and per speed from the beginning of a step. */
+    double torque_rate, motor_stiffness, motor_damping;
     /* Model Exchange: output angle, crank angle and strains at the end of the kinematic interface's last step. */
     double held, held_crank, held_strain[2][FRICTION_ELEMENTS];
     double event_mode; /* whether the instance is in it */
@@ -102,6 +105,7 @@ void drive_state_read(struct drive *drive, const unsigned char *blob);
 /* Only for the drive's own files. */
 int drive_refuse(char message[MESSAGE_SIZE], const char *format, double value, double limit);
 int drive_kinematic(const struct drive *drive);
+int drive_swings(const struct drive *drive);           /* whether an inertia inside moves in its steps */
 double drive_angle(const struct drive *drive);         /* of the driven shaft */
 double drive_crank_angle(const struct drive *drive);   /* of the cycloid stage's crank, at which its contacts are solved */
 double *drive_stored(struct state *s, const struct variable *variable); /* or NULL if it is computed on request */
@@ -177,6 +181,7 @@ int compliant_move(struct drive *drive, double step, char message[MESSAGE_SIZE])
 int compliant_swing(struct drive *drive, double step, char message[MESSAGE_SIZE]);
 double compliant_power(const struct drive *drive); /* of the contacts' damping */
 double compliant_load(const struct drive *drive, int flange); /* torque of the teeth */
+double compliant_way(const struct drive *drive, int flange);  /* that friction has not followed */
 struct rubbing compliant_rubbing(const struct drive *drive, int flange);
 
 enum { MOST_STATES = 6 + 2 * FRICTION_ELEMENTS };

@@ -12,11 +12,11 @@ int exchange_states(const struct drive *drive, int fields[MOST_STATES]) {
         fields[0] = TEMPERATURE;
         return heat_stored(drive);
     }
+    if (drive->state.crank_inertia > 0.0) {
+        fields[count++] = CRANK_ANGLE;
+        fields[count++] = CRANK_SPEED;
+    }
     if (drive->table->offers == INTERFACE_INERTIA) {
-        if (drive->state.crank_inertia > 0.0) {
-            fields[count++] = CRANK_ANGLE;
-            fields[count++] = CRANK_SPEED;
-        }
         fields[count++] = TRANSMISSION_ERROR;
         fields[count++] = OUTPUT_SPEED;
     }
@@ -43,8 +43,8 @@ int exchange_solve(struct drive *drive, char message[MESSAGE_SIZE]) {
         drive->solved = !kinematic_follow(drive, message);
         return !drive->solved;
     }
+    s->turned = s->crank_angle;
     if (drive->table->offers == INTERFACE_INERTIA) {
-        s->turned = s->crank_angle;
         s->output_angle = s->transmission_error + s->turned / drive->ratio;
     }
     s->seen = s->output_angle;

@@ -86,7 +86,7 @@ static double ripple_crank(const struct drive *drive) {
     if (drive->table->offers == INTERFACE_KINEMATIC || drive->resting) {
         return s->placed;
     }
-    return (drive->table->offers == INTERFACE_INERTIA ? s->turned : s->crank_angle) * drive->table->ratio / drive->ratio;
+    return (drive->table->offers == INTERFACE_COMPLIANT ? s->crank_angle : s->turned) * drive->table->ratio / drive->ratio;
 }
 
 /* Nodes about a value of an ascending list, and the share of the upper one; as at the last one above it. */

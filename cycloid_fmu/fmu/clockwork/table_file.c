@@ -136,7 +136,7 @@ static void read_body(struct reader *reader, struct table *table) {
     int tabled;
     double *numbers[7];
     table->offers = (uint32_t)reader_whole(reader, 4);
-    reader->failed |= table->offers > INTERFACE_INERTIA;
+    reader->failed |= table->offers > INTERFACE_ROTOR;
     table->variable = reader_variables(reader, &table->variables, LOSS_TABLE + MOST_LOSS_ROWS * LOSS_COLUMNS);
     numbers[0] = &table->ratio, numbers[1] = &table->period, numbers[2] = &table->allowed;
     numbers[3] = &table->sun_teeth, numbers[4] = &table->planet_teeth, numbers[5] = &table->sun_play;
