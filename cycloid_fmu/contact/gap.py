@@ -34,7 +34,7 @@ class Contact(NamedTuple):
     """What a foot gives: fields of a contact row."""
 
     foot: float
-    place: float
+    profile_parameter: float
     foot_rate: float
     gap: float
     arm: float
@@ -93,7 +93,7 @@ def contact_at(flank: Flank, offset: Offset, pin_radius: float, foot: float, alp
 @compiled(inline=True)
 def write_contact(row: np.record, solved: Contact, crank_angle: float, x: float) -> None:
     """Write a contact that was solved at crank angle θ and transmission error x."""
-    row.foot, row.place, row.foot_rate = solved.foot, solved.place, solved.foot_rate
+    row.foot, row.profile_parameter, row.foot_rate = solved.foot, solved.profile_parameter, solved.foot_rate
     row.gap, row.arm, row.arm_rate = solved.gap, solved.arm, solved.arm_rate
     row.curvature, row.curvature_rate = solved.curvature, solved.curvature_rate
     row.gap_by_crank, row.foot_by_crank = solved.gap_by_crank, solved.foot_by_crank

@@ -72,7 +72,7 @@ PLACED = lanes_of(
 
 
 @compiled
-def place(
+def place_contacts(
     problem: Problem, crank_angle: float, x: float, contacts: Rows, cold: bool, clear: float, bounded: float
 ) -> None:
     """Solve the contact of every pin at a crank angle and a transmission error x, into `contacts`.
@@ -295,7 +295,11 @@ def feet_in_lanes(group: Lanes, eccentricity: float, teeth: int, ring: bool) -> 
         alpha = min(max(alpha, group.number[lane] * pitch + _END), (group.number[lane] + 1.0) * pitch - _END)
         offset = Offset(group.offset_x[lane], group.offset_y[lane], group.crank_x[lane], group.crank_y[lane])
         solved = contact_at(flank, offset, group.pin_radius[lane], alpha - group.conjugate_point[lane], alpha, state)
-        group.foot[lane], group.place[lane], group.foot_rate[lane] = solved.foot, solved.place, solved.foot_rate
+        group.foot[lane], group.profile_parameter[lane], group.foot_rate[lane] = (
+            solved.foot,
+            solved.profile_parameter,
+            solved.foot_rate,
+        )
         group.gap[lane], group.arm[lane], group.arm_rate[lane] = solved.gap, solved.arm, solved.arm_rate
         group.curvature[lane], group.curvature_rate[lane] = solved.curvature, solved.curvature_rate
         group.gap_by_crank[lane], group.foot_by_crank[lane] = solved.gap_by_crank, solved.foot_by_crank
@@ -306,7 +310,7 @@ def solved_in(group: Lanes, lane: int) -> Contact:
     """Return what the foot in a lane gives."""
     return Contact(
         group.foot[lane],
-        group.place[lane],
+        group.profile_parameter[lane],
         group.foot_rate[lane],
         group.gap[lane],
         group.arm[lane],
