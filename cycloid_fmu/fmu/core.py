@@ -102,7 +102,7 @@ class Core:
         The interface of the FMU.
     table
         Its variables by reference.
-    told
+    summary
         Its stiffness as text, for the model description.
     faults
         Refused values not yet corrected: {reference of the variable: sentence}.

@@ -341,7 +341,7 @@ _KINDS: dict[str, Any] = {}  # types of boxes by their names
 def _callback(box: Any, on_bearings: bool) -> Any:
     """Return the C function of a type of box; what numba compiles is kept on disk until the kernels' sources change."""
     # numba distinguishes what it keeps by the values that a function encloses, which must be the same in each process.
-    kind, sources = str(box), repr(SOURCES)
+    kind, sources = str(box), SOURCES
     _KINDS[kind] = box
 
     def solve_mesh(address: int, operation: int, crank_angle: float, a: float, b: float, result: Any) -> int:
