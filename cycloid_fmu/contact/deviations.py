@@ -9,7 +9,7 @@ import numpy as np
 
 from cycloid_fmu.contact.compiling import Array, compiled
 from cycloid_fmu.contact.foot import Tangency, on_tooth, path_curvature, tangency
-from cycloid_fmu.contact.gap import Flank, Offset, contact_at, write_contact
+from cycloid_fmu.contact.gap import Flank, contact_at, offset_on_tooth, write_contact
 from cycloid_fmu.contact.pose import conjugate_point, disc_pose, pin_axis
 from cycloid_fmu.contact.problem import Deviations, Problem, poses
 from cycloid_fmu.contact.rows import Rows, disc_slice_pin, is_solved_at
@@ -102,7 +102,7 @@ def move_to_deviations(
             teeth,
             problem.ring,
         )
-        offset = Offset(axis.centre_x, axis.centre_y, 0.0, 0.0)
+        offset = offset_on_tooth(axis.centre_x, axis.centre_y, 0.0, 0.0, problem.tooth_turn[disc, number])
         raised_contact = contact_at(flank, offset, pin_radius + pin_height, contact.foot, alpha, state)
         write_contact(contact, raised_contact, crank_angle, x)
         # What a raised flank predicts reaches no farther than its next element.

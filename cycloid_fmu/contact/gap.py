@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cycloid_fmu.contact.compiling import compiled
-from cycloid_fmu.contact.foot import Tangency, path_curvature
+from cycloid_fmu.contact.foot import Tangency, on_tooth, path_curvature
 
 
 class Flank(NamedTuple):
@@ -22,12 +22,20 @@ class Flank(NamedTuple):
 
 
 class Offset(NamedTuple):
-    """The gear's centre from the pin circle's, and the crank's eccentricity alone, in the gear's frame, m."""
+    """The gear's centre from the pin circle's, and the crank's eccentricity alone, in the tooth's frame, m."""
 
     x: float
     y: float
     crank_x: float
     crank_y: float
+
+
+@compiled(inline=True)
+def offset_on_tooth(x: float, y: float, crank_x: float, crank_y: float, turn: float) -> Offset:
+    """Offset, of its components in the gear's frame, from a tooth turned by a small angle (rad)."""
+    x, y = on_tooth(x, y, turn)
+    crank_x, crank_y = on_tooth(crank_x, crank_y, turn)
+    return Offset(x, y, crank_x, crank_y)
 
 
 class Contact(NamedTuple):

@@ -79,6 +79,27 @@ def test_moment_arm_of_the_ideal_pair():
     assert contacts["arm"][::2] == pytest.approx(arm, abs=1e-12)
 
 
+@pytest.mark.parametrize("output", ["gear", "ring"])
+@pytest.mark.parametrize("cold", [True, False])
+def test_arms_on_teeth_that_pitch_errors_turn_are_the_fall_of_their_gaps(output, cold):
+    """-∂g/∂x and ∂g/∂θ by differences; a ring's arm is about its own centre, seen from the tooth as the pin is."""
+    _, drive, rows = drive_and_rows("errors-39-40", output)
+    turned = np.random.default_rng(4).uniform(-2e-4, 2e-4, drive.tooth_turn.shape)  # 13 µm
+    drive, theta, x, step = drive._replace(tooth_turn=turned), 0.3, 1e-4, 2e-7
+
+    def placed(theta, x, field="gap"):
+        contact.place_contacts(drive, theta, x, rows, cold, math.inf, math.inf)
+        return rows[field][::2].copy()
+
+    contact.place_contacts(drive, theta, x, rows, True, math.inf, math.inf)
+    arm, by_crank = placed(theta, x, "arm"), placed(theta, x, "gap_by_crank")
+    fall = (placed(theta, x - step) - placed(theta, x + step)) / (2.0 * step)
+    rise = (placed(theta + step, x) - placed(theta - step, x)) / (2.0 * step)
+    assert np.abs(arm).max() > 0.03
+    assert arm == pytest.approx(fall, abs=1e-8)
+    assert by_crank == pytest.approx(rise, abs=1e-8)
+
+
 def test_linear_check_of_the_load_sharing():
     """Equal stiffness: F_i = T L_i/Σ L² over the pushing pins, with 20 pins at crank angle 0.3 rad.
 
