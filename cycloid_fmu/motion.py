@@ -312,7 +312,7 @@ def _contacts(
     for at in np.ndindex(places[:2]):
         theta, x = float(found.crank_angle[at[1]]), float(found.transmission_error[at])
         here.shift_x[:], here.shift_y[:], here.turn[:] = shift[at].real, shift[at].imag, turned[at]
-        contact.place(here, theta, x, rows, True, math.inf, math.inf)
+        contact.place_contacts(here, theta, x, rows, True, math.inf, math.inf)
         rows["force"] = 0.0
         if isinstance(found, OnBearings) and found.compliance.shape[-1] > 0:
             # Elastic bodies press elsewhere than their mean motions overlap; each pin is on the nearer of two teeth.
@@ -327,7 +327,7 @@ def _contacts(
         chosen = by_slice[disc, best, pin, side]
         gap[at], force[at] = chosen["gap"], by_slice["force"].sum(axis=1)
         near = np.isfinite(chosen["gap"])
-        alpha = chosen["place"][near]
+        alpha = chosen["profile_parameter"][near]
         number = np.floor(alpha / pitch).astype(np.int64)
         point = _flank(here, made, disc[near], best[near], number % warm.gear_teeth, alpha - number * pitch)
         point = centre[at][disc[near]] + offset[best[near]] + np.exp(1j * rotation[at][disc[near]]) * point

@@ -143,7 +143,7 @@ def build(
     )
     offered, measured = read_interface(stated, drive.ratio, losses=losses, friction=friction_file, loop=loop)
     if measured is not None:
-        typer.echo(f"{losses}: {measured.told}.")
+        typer.echo(f"{losses}: {measured.summary}.")
     if drive.pair.losses is not None and (states_friction(offered) or drive.pair.supports is None):
         source = next((file for file in (losses, friction_file, loop) if file is not None), None)
         why = "there are no [supports] that they act on"
@@ -216,6 +216,6 @@ def _build_native(drive: Drive, path: Path, **options: Any) -> None:
             total=lambda count: bar.update(completed=0, total=count),
         )
     typer.echo(
-        f"{path}: {path.stat().st_size / 1e6:.2f} MB, {made.told}; compared with the exact model at {PROBES} random "
-        "crank angles and torques, the transmission error also around its largest errors."
+        f"{path}: {path.stat().st_size / 1e6:.2f} MB, {made.accuracy}; compared with the exact model at {PROBES} "
+        "random crank angles and torques, the transmission error also around its largest errors."
     )

@@ -16,7 +16,7 @@ def inspect(fmu_file: FmuFile, as_json: commands.AsJson = False) -> None:
 
     Example: [cyan]cycloid-fmu inspect drive.fmu[/]
     """
-    from cycloid_fmu.fmu.run import described, stated_drive, told
+    from cycloid_fmu.fmu.run import described, description_of, stated_drive
     from cycloid_fmu.fmu.variables import DAMPING_RATIOS
 
     description, problems = described(fmu_file)
@@ -24,7 +24,7 @@ def inspect(fmu_file: FmuFile, as_json: commands.AsJson = False) -> None:
         commands.print_json(
             {
                 "drive": stated_drive(fmu_file),
-                "description": told(fmu_file),
+                "description": description_of(fmu_file),
                 "variables": description,
                 "problems": problems,
             }
@@ -38,7 +38,7 @@ def inspect(fmu_file: FmuFile, as_json: commands.AsJson = False) -> None:
             ["variable", "causality", "unit", "start", "meaning"],
             rows,
         )
-        typer.echo(f"{told(fmu_file)}.")
+        typer.echo(f"{description_of(fmu_file)}.")
         for damping in (v for v in description if v["name"] == "mesh_damping"):
             low, high = DAMPING_RATIOS
             typer.echo(

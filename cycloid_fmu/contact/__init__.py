@@ -23,7 +23,7 @@ from cycloid_fmu.contact.equilibrium import behind_compliance, carried, equilibr
 from cycloid_fmu.contact.hertz import half_width, hertz
 from cycloid_fmu.contact.load_sharing import ContactLines, load_sharing
 from cycloid_fmu.contact.local_frame import LocalFrame, local_frame
-from cycloid_fmu.contact.placement import place
+from cycloid_fmu.contact.placement import place_contacts
 from cycloid_fmu.contact.play import TOUCHING, play, touch_rate
 from cycloid_fmu.contact.problem import Deviations, Drives, Problem, poses
 from cycloid_fmu.contact.rows import ROW, Rows, contact_rows, disc_slice_pin, is_solved_at
@@ -62,7 +62,7 @@ __all__ = [
     "is_solved_at",
     "load_sharing",
     "local_frame",
-    "place",
+    "place_contacts",
     "play",
     "poses",
     "press",

@@ -3,8 +3,8 @@
 numba's own way compiles each function once for itself and again, with all that it calls, in each of its callers. The
 first result takes a third of the time where `internals`, which use private names of numba, compile a function within
 its callers alone. Without these names, or with CYCLOID_PLAIN_NUMBA=1 in the environment, `compiled` is `njit` itself:
-the same numbers, slower (docs/development/speed.md). What numba then keeps on disk it compares with a kernel's own file
-alone: empty its folder after a change in another one.
+the same numbers, slower (docs/development/speed.md). What is kept on disk belongs to the sources of all kernels, both
+ways: numba itself looks at the file of a function alone, and what it calls lies in others.
 """
 
 from __future__ import annotations
@@ -18,14 +18,21 @@ import numpy as np
 from numba import config
 from numpy.typing import NDArray
 
+from cycloid_fmu.edge.cache import hash_of_code
 from cycloid_fmu.edge.kernels import kept_njit
 
 Array = NDArray[np.float64]
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
-_ROOMS = [Path(__file__).parents[1] / room for room in ("contact", "supports", "losses")]
-# Of all kernels: numba looks at the file of a function alone, and what it calls lies in others.
-SOURCES = tuple(sorted((s.stat().st_mtime_ns, s.name) for room in _ROOMS for s in room.glob("*.py")))
+_PACKAGE = Path(__file__).parents[1]
+# Kernels, and modules whose constants are part of them.
+KERNEL_FILES = (
+    *(file for room in ("contact", "supports", "losses") for file in sorted((_PACKAGE / room).glob("*.py"))),
+    *(_PACKAGE / "fmu" / name for name in ("constants.py", "exact_contacts.py")),
+    *(_PACKAGE / name for name in ("bodies/disc.py", "geometry/losses.py")),
+)
+SOURCES = hash_of_code(filter(Path.exists, KERNEL_FILES))
+"""Hash of the sources of all kernels."""
 
 try:
     if os.environ.get("CYCLOID_PLAIN_NUMBA", "0") not in ("", "0"):
@@ -69,6 +76,10 @@ def compiled_function(function: _Function, inline: bool) -> _Function:
         return function
     if internals is not None:
         return internals.compiled_function(function, inline, SOURCES)
-    return cast(
-        _Function, kept_njit(error_model="numpy", nogil=True, forceinline=inline, no_cfunc_wrapper=True)(function)
-    )
+    name = function.__qualname__
+    function.__qualname__ = f"{name}-{SOURCES[:16]}"  # the name of numba's file
+    try:
+        kernel = kept_njit(error_model="numpy", nogil=True, forceinline=inline, no_cfunc_wrapper=True)(function)
+    finally:
+        function.__qualname__ = name
+    return cast(_Function, kernel)

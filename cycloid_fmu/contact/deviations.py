@@ -9,7 +9,7 @@ import numpy as np
 
 from cycloid_fmu.contact.compiling import Array, compiled
 from cycloid_fmu.contact.foot import Tangency, on_tooth, path_curvature, tangency
-from cycloid_fmu.contact.gap import Flank, Offset, contact_at, write_contact
+from cycloid_fmu.contact.gap import Flank, contact_at, offset_on_tooth, write_contact
 from cycloid_fmu.contact.pose import conjugate_point, disc_pose, pin_axis
 from cycloid_fmu.contact.problem import Deviations, Problem, poses
 from cycloid_fmu.contact.rows import Rows, disc_slice_pin, is_solved_at
@@ -92,9 +92,9 @@ def move_to_deviations(
                     closest = _closest_on_piece(problem, deviations, facing, piece, seen_ends)
                     if closest[0] < best[0]:
                         best = closest
-        _, at, gear_height, pin_height = best
-        place = base + at
-        state = tangency(px, py, place, problem.circle_radius, problem.generating_eccentricity, teeth)
+        _, along, gear_height, pin_height = best
+        alpha = base + along
+        state = tangency(px, py, alpha, problem.circle_radius, problem.generating_eccentricity, teeth)
         flank = Flank(
             problem.circle_radius,
             problem.generating_eccentricity,
@@ -102,21 +102,21 @@ def move_to_deviations(
             teeth,
             problem.ring,
         )
-        offset = Offset(axis.centre_x, axis.centre_y, 0.0, 0.0)
-        raised_contact = contact_at(flank, offset, pin_radius + pin_height, contact.foot, place, state)
+        offset = offset_on_tooth(axis.centre_x, axis.centre_y, 0.0, 0.0, problem.tooth_turn[disc, number])
+        raised_contact = contact_at(flank, offset, pin_radius + pin_height, contact.foot, alpha, state)
         write_contact(contact, raised_contact, crank_angle, x)
         # What a raised flank predicts reaches no farther than its next element.
         contact.gap_by_crank = math.nan
         contact.bounded_for = 0.0
         if deviations.gear_curvature.size > 0:
-            seen = _facing_place(problem, deviations, facing, at, state, gear_height)
-            added = added_curvature(deviations, facing, at, seen)
+            seen = _facing_position(problem, deviations, facing, along, state, gear_height)
+            added = added_curvature(deviations, facing, along, seen)
             hertz_curvature = 1.0 / pin_radius + contact.curvature
             contact.curvature += max(added, (_CONFORMAL - 1.0) * hertz_curvature)
 
 
 @compiled
-def _facing_place(
+def _facing_position(
     problem: Problem, deviations: Deviations, facing: Facing, alpha: float, state: Tangency, height: float
 ) -> float:
     """Place on the pin that faces a raised point of the flank, at tooth 0's α."""
@@ -127,7 +127,7 @@ def _facing_place(
     wx, wy = -dx - radius * bx / speed, -dy - radius * by / speed
     ca, sa = math.cos(alpha), math.sin(alpha)
     vx, vy = wx * ca - wy * sa, wx * sa + wy * ca
-    return _pin_place(deviations, facing, vx, vy)
+    return _pin_position(deviations, facing, vx, vy)
 
 
 @compiled
@@ -150,7 +150,7 @@ def _raised(problem: Problem, deviations: Deviations, facing: Facing, point: int
     nominal = math.sqrt(vx * vx + vy * vy) - pin_radius
     height = deviations.gear[facing.disc, facing.slice_, facing.tooth, point]
     vx, vy = vx + height * deviations.flank_normal_x[point], vy + height * deviations.flank_normal_y[point]
-    seen = _pin_place(deviations, facing, vx, vy)
+    seen = _pin_position(deviations, facing, vx, vy)
     raised = math.sqrt(vx * vx + vy * vy) - pin_radius - _on_pin(deviations.pin, facing, seen)
     return nominal, raised, seen
 
@@ -170,33 +170,37 @@ def _closest_on_piece(
     start, end = heights[piece], heights[piece + 1]
     rise = (end - start) / (b - a)
     best = (math.inf, a, start, 0.0)
-    high, right = a, seen[0]
+    high, pin_last = a, seen[0]
     while high < b:
-        low, left = high, right
-        right = math.floor(left) + 1.0 if seen[1] > left else math.ceil(left) - 1.0
-        if (right - seen[1]) * (seen[1] - seen[0]) >= 0.0:
-            high, right = b, seen[1]
+        low, pin_first = high, pin_last
+        pin_last = math.floor(pin_first) + 1.0 if seen[1] > pin_first else math.ceil(pin_first) - 1.0
+        if (pin_last - seen[1]) * (seen[1] - seen[0]) >= 0.0:
+            high, pin_last = b, seen[1]
         else:
             each = (b - a) / (seen[1] - seen[0])
-            high = a + (right - seen[0]) * each
+            high = a + (pin_last - seen[0]) * each
             state = tangency(facing.x, facing.y, high, R, e, teeth)
-            high += (right - _facing_place(problem, deviations, facing, high, state, start + rise * (high - a))) * each
+            high += (
+                pin_last - _facing_position(problem, deviations, facing, high, state, start + rise * (high - a))
+            ) * each
             high = min(max(high, low), b)
-        pin_start, pin_end = _on_pin(deviations.pin, facing, left), _on_pin(deviations.pin, facing, right)
+        pin_start, pin_end = _on_pin(deviations.pin, facing, pin_first), _on_pin(deviations.pin, facing, pin_last)
         pin_rise = (pin_end - pin_start) / max(high - low, 1e-3 * (b - a))
-        at = 0.5 * (low + high)
+        along = 0.5 * (low + high)
         for _ in range(8):
-            state, height = tangency(facing.x, facing.y, at, R, e, teeth), start + rise * (at - a)
-            pin_height = _on_pin(deviations.pin, facing, _facing_place(problem, deviations, facing, at, state, height))
+            state, height = tangency(facing.x, facing.y, along, R, e, teeth), start + rise * (along - a)
+            pin_height = _on_pin(
+                deviations.pin, facing, _facing_position(problem, deviations, facing, along, state, height)
+            )
             distance, fall, bend = _flank_distance(problem, state, height, rise)
             gap = distance - problem.pin_radius[facing.pin] - pin_height
             if gap < best[0]:
-                best = (gap, at, height, pin_height)
+                best = (gap, along, height, pin_height)
             step = -(fall - pin_rise) / bend if bend > 0.0 else math.copysign(b - a, pin_rise - fall)
-            following = min(max(at + step, low), high)
-            if abs(following - at) < 1e-9 * (b - a):
+            following = min(max(along + step, low), high)
+            if abs(following - along) < 1e-9 * (b - a):
                 break
-            at = following
+            along = following
     return best
 
 
@@ -218,15 +222,15 @@ def _flank_distance(problem: Problem, state: Tangency, height: float, rise: floa
 
 
 @compiled
-def _pin_place(deviations: Deviations, facing: Facing, vx: float, vy: float) -> float:
+def _pin_position(deviations: Deviations, facing: Facing, vx: float, vy: float) -> float:
     """Place on the pin's surface in the direction v from its axis, in elements from the first one's middle."""
     across, ahead = facing.inwards_x * vy - facing.inwards_y * vx, facing.inwards_x * vx + facing.inwards_y * vy
     return (math.atan2(across, ahead) / math.pi + 0.5) * deviations.pin.shape[2] - 0.5
 
 
 @compiled
-def _on_pin(values: Array, facing: Facing, place: float) -> float:
+def _on_pin(values: Array, facing: Facing, position: float) -> float:
     """Value between the middles of a pin's elements, at a place of `_pin_place`."""
-    low = min(max(math.floor(place), 0), values.shape[2] - 2)
-    share = min(max(place - low, 0.0), 1.0)
+    low = min(max(math.floor(position), 0), values.shape[2] - 2)
+    share = min(max(position - low, 0.0), 1.0)
     return (1.0 - share) * values[facing.slice_, facing.pin, low] + share * values[facing.slice_, facing.pin, low + 1]

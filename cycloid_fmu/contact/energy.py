@@ -14,7 +14,7 @@ from cycloid_fmu.contact.local_frame import (
     projected_stiffness,
     torque_by_shift,
 )
-from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place
+from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place_contacts
 from cycloid_fmu.contact.problem import Problem
 from cycloid_fmu.contact.rows import Rows
 
@@ -99,14 +99,14 @@ def press(
         compliance, and its derivatives by crank and flange (N·m).
     """
     if compliance == 0.0:
-        place(problem, crank_angle, flange, contacts, cold, CLEAR, BOUNDED)
+        place_contacts(problem, crank_angle, flange, contacts, cold, CLEAR, BOUNDED)
         _, stiffness = load(problem, contacts)
         energy, by_angle, by_rotation = elastic_energy(problem, crank_angle, flange, contacts)
         return flange, stiffness, energy, by_angle, by_rotation
     x, stiffness = behind_compliance(problem, crank_angle, flange, compliance, x, contacts, cold)
     energy = by_angle = by_rotation = 0.0
     for _ in range(10):
-        place(problem, crank_angle, x, contacts, cold, CLEAR, BOUNDED)
+        place_contacts(problem, crank_angle, x, contacts, cold, CLEAR, BOUNDED)
         cold = False
         _, stiffness = load(problem, contacts)
         energy, by_angle, by_rotation = elastic_energy(problem, crank_angle, x, contacts)

@@ -9,7 +9,7 @@ import numpy as np
 from cycloid_fmu.contact.compiling import Array, compiled
 from cycloid_fmu.contact.hertz import APPROACHED, hertz_in_lanes
 from cycloid_fmu.contact.lanes import LANES, Lanes, on_stack, vectors
-from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place
+from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place_contacts
 from cycloid_fmu.contact.problem import Problem
 from cycloid_fmu.contact.rows import Rows, touching_count
 
@@ -182,7 +182,7 @@ def _balance(
     stiffness, near = 0.0, by_rates(problem.circle_radius)
     for _ in range(100):
         if abs(x - placed) > near or problem.deviations is not None:
-            place(problem, crank_angle, x, contacts, cold, CLEAR, BOUNDED)
+            place_contacts(problem, crank_angle, x, contacts, cold, CLEAR, BOUNDED)
             cold, placed = False, x
         else:
             _move(problem.teeth, problem.ring, x - last, x, contacts)
@@ -220,7 +220,7 @@ def _move(teeth: int, ring: bool, step: float, x: float, contacts: Rows) -> None
         contact = contacts[int(contacts[i].touching)]
         follow(contact, step)
         contact.foot += step * contact.foot_rate - conjugate
-        contact.place += step * contact.foot_rate
+        contact.profile_parameter += step * contact.foot_rate
         contact.transmission_error = x
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cycloid_fmu.contact.compiling import compiled
-from cycloid_fmu.contact.foot import Tangency, path_curvature
+from cycloid_fmu.contact.foot import Tangency, on_tooth, path_curvature
 
 
 class Flank(NamedTuple):
@@ -22,7 +22,7 @@ class Flank(NamedTuple):
 
 
 class Offset(NamedTuple):
-    """The gear's centre from the pin circle's, and the crank's eccentricity alone, in the gear's frame, m."""
+    """The gear's centre from the pin circle's, and the crank's eccentricity alone, in the tooth's frame, m."""
 
     x: float
     y: float
@@ -30,11 +30,19 @@ class Offset(NamedTuple):
     crank_y: float
 
 
+@compiled(inline=True)
+def offset_on_tooth(x: float, y: float, crank_x: float, crank_y: float, turn: float) -> Offset:
+    """Offset, of its components in the gear's frame, from a tooth turned by a small angle (rad)."""
+    x, y = on_tooth(x, y, turn)
+    crank_x, crank_y = on_tooth(crank_x, crank_y, turn)
+    return Offset(x, y, crank_x, crank_y)
+
+
 class Contact(NamedTuple):
     """What a foot gives: fields of a contact row."""
 
     foot: float
-    place: float
+    profile_parameter: float
     foot_rate: float
     gap: float
     arm: float
@@ -93,7 +101,7 @@ def contact_at(flank: Flank, offset: Offset, pin_radius: float, foot: float, alp
 @compiled(inline=True)
 def write_contact(row: np.record, solved: Contact, crank_angle: float, x: float) -> None:
     """Write a contact that was solved at crank angle θ and transmission error x."""
-    row.foot, row.place, row.foot_rate = solved.foot, solved.place, solved.foot_rate
+    row.foot, row.profile_parameter, row.foot_rate = solved.foot, solved.profile_parameter, solved.foot_rate
     row.gap, row.arm, row.arm_rate = solved.gap, solved.arm, solved.arm_rate
     row.curvature, row.curvature_rate = solved.curvature, solved.curvature_rate
     row.gap_by_crank, row.foot_by_crank = solved.gap_by_crank, solved.foot_by_crank

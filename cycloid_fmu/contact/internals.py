@@ -41,10 +41,9 @@ from cycloid_fmu.edge.kernels import kept_njit
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 _LONGEST_TURN = 60.0  # s: of another process, until a kernel is compiled here as well
-_Sources = tuple[tuple[int, str], ...]
 
 
-def compiled_function(function: _Function, inline: bool, sources: _Sources) -> _Function:
+def compiled_function(function: _Function, inline: bool, sources: str) -> _Function:
     """Compile a kernel for Python's calls, kept on disk for these sources, and for other kernels as a part of them."""
     entry = functools.cache(
         lambda: _entry(function, sources)
@@ -62,7 +61,7 @@ def compiled_function(function: _Function, inline: bool, sources: _Sources) -> _
     return cast(_Function, called)
 
 
-def _entry(function: Callable[..., Any], sources: _Sources) -> Any:
+def _entry(function: Callable[..., Any], sources: str) -> Any:
     kernel = kept_njit(error_model="numpy", nogil=True, no_cfunc_wrapper=True)(function)
     if kernel._cache.cache_path is not None:
         _Compilation(kernel, sources)
@@ -79,7 +78,7 @@ class _Compilation:
 
     _waits = True  # for other processes, of all kernels
 
-    def __init__(self, kernel: Any, sources: _Sources) -> None:
+    def __init__(self, kernel: Any, sources: str) -> None:
         cache = kernel._cache
         self._compile, self._cache = kernel.compile, cache
         self._turn: FileLock | None = None

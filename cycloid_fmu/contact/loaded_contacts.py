@@ -25,7 +25,7 @@ class LoadedContacts:
         Indices: crank angle, disc, slice, pin, and the tooth touched.
     phase
         φ, the pin's angle from the crank, in -π to π, rad.
-    place
+    profile_parameter
         Profile parameter of the contact on its tooth, 0 to 2π/z_c, rad.
     pin_direction
         Direction of the contact about the pin's axis from that to the pin circle's centre, > 0 counter-clockwise, rad.
@@ -47,7 +47,7 @@ class LoadedContacts:
     pin: NDArray[np.int64]
     tooth: NDArray[np.int64]
     phase: Array
-    place: Array
+    profile_parameter: Array
     pin_direction: Array
     force: Array
     moment_arm: Array
@@ -96,9 +96,9 @@ def loaded_contacts(drive: contact.Problem, crank_angle: Array, torque: float) -
     ring = angle_of_crank / pins + x if drive.ring else np.zeros(x.size)
     gear = -drive.crank_phase[disc] / teeth if drive.ring else x - crank / teeth
     pitch = 2.0 * np.pi / teeth
-    alpha = loaded["place"]
+    alpha = loaded["profile_parameter"]
     tooth = np.floor(alpha / pitch).astype(np.int64)
-    place, tooth = alpha - tooth * pitch, tooth % teeth
+    profile_parameter, tooth = alpha - tooth * pitch, tooth % teeth
     # Flank and normal in the gear's frame: a curve parallel to the generating path (docs/theory/contact.md).
     wave = drive.generating_eccentricity * np.exp(1j * teeth * alpha)
     normal = np.exp(1j * alpha) * (1.0 - wave * pins / drive.circle_radius)
@@ -121,7 +121,7 @@ def loaded_contacts(drive: contact.Problem, crank_angle: Array, torque: float) -
         pin,
         tooth,
         (phase + np.pi) % (2.0 * np.pi) - np.pi,
-        place,
+        profile_parameter,
         np.angle((flank * turn - axis + centre) / inwards),
         force,
         loaded["arm"],

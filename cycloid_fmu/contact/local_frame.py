@@ -45,8 +45,8 @@ def local_frame(problem: Problem, crank_angle: float, x: float, contacts: Rows, 
     """Local frame of a row that was solved at crank angle θ and transmission error x."""
     disc, slice_, pin = disc_slice_pin(problem, row)
     crank, ring, gear = poses(problem, crank_angle, x, disc)
-    place = pin * 2.0 * math.pi / (problem.teeth + 1)
-    alpha = place + (crank - ring) / problem.teeth + contacts[row].foot
+    pin_angle = pin * 2.0 * math.pi / (problem.teeth + 1)
+    alpha = pin_angle + (crank - ring) / problem.teeth + contacts[row].foot
     whole = np.floor(alpha * problem.teeth / (2.0 * math.pi))
     tooth = int(whole - problem.teeth * np.floor(whole / problem.teeth))
     # The pin's axis from the ring's centre and from the gear's.
@@ -76,7 +76,7 @@ def local_frame(problem: Problem, crank_angle: float, x: float, contacts: Rows, 
         pin,
         tooth,
         alpha,
-        place + ring,
+        pin_angle + ring,
         cc,
         sc,
         nx,

@@ -99,7 +99,7 @@ class NearDrives:
         """
         torque, angles = self.loads[sweep_number]
         transmission_error, stiffness, pressure = (np.empty((len(drives.errors), angles.size)) for _ in range(3))
-        for at, part, work in drives.parts(self._contacts):
+        for batch, part, work in drives.parts(self._contacts):
             for guide in self._along(sweep_number):
                 sweep_drives(
                     self._problem,
@@ -108,15 +108,15 @@ class NearDrives:
                     guide,
                     angles,
                     torque,
-                    transmission_error[at],
-                    stiffness[at],
-                    pressure[at],
+                    transmission_error[batch],
+                    stiffness[batch],
+                    pressure[batch],
                 )
         unsolved = np.isnan(transmission_error)
         for j in np.flatnonzero(unsolved.any(axis=1)):
-            places = angles[unsolved[j]]
+            crank_angles = angles[unsolved[j]]
             alone, _, _, _ = solve_problem(
-                self._alone(drives, int(j)), np.full((1, places.size), torque), places, with_play=False
+                self._alone(drives, int(j)), np.full((1, crank_angles.size), torque), crank_angles, with_play=False
             )
             transmission_error[j, unsolved[j]] = alone.transmission_error[0]
             stiffness[j, unsolved[j]] = alone.stiffness[0]
@@ -132,14 +132,16 @@ class NearDrives:
         """
         _, angles = self.loads[sweep_number]
         low, high = (np.empty((len(drives.errors), angles.size)) for _ in range(2))
-        for at, part, work in drives.parts(self._contacts):
+        for batch, part, work in drives.parts(self._contacts):
             for guide in self._along(sweep_number):
-                sweep_play_of_drives(self._problem, part, work, guide, angles, low[at], high[at])
+                sweep_play_of_drives(self._problem, part, work, guide, angles, low[batch], high[batch])
         interference = np.zeros(low.shape)
         unsolved = np.isnan(low)
         for j in np.flatnonzero(unsolved.any(axis=1)):
-            places = angles[unsolved[j]]
-            _, *alone = solve_problem(self._alone(drives, int(j)), np.empty((0, places.size)), places, with_play=True)
+            crank_angles = angles[unsolved[j]]
+            _, *alone = solve_problem(
+                self._alone(drives, int(j)), np.empty((0, crank_angles.size)), crank_angles, with_play=True
+            )
             low[j, unsolved[j]], high[j, unsolved[j]], interference[j, unsolved[j]] = alone
         return high - low, interference
 
@@ -156,5 +158,5 @@ class DisplacedDrives(NamedTuple):
     def parts(self, contacts: int) -> Iterator[tuple[slice, Drives, Memory]]:
         """Yield the drives in parts that go side by side, with memory for as many contacts."""
         for first in range(0, len(self.errors), LANES):
-            at = slice(first, first + LANES)
-            yield at, Drives(*(values[at] for values in self.drives)), memory(contacts, self.errors[at])
+            batch = slice(first, first + LANES)
+            yield batch, Drives(*(values[batch] for values in self.drives)), memory(contacts, self.errors[batch])

@@ -9,7 +9,7 @@ import numpy as np
 from cycloid_fmu.contact.compiling import Array, compiled
 from cycloid_fmu.contact.deviations import move_to_deviations
 from cycloid_fmu.contact.foot import Tangency, foot, on_tooth, tangency
-from cycloid_fmu.contact.gap import Contact, Flank, Offset, contact_at, write_contact
+from cycloid_fmu.contact.gap import Contact, Flank, contact_at, offset_on_tooth, write_contact
 from cycloid_fmu.contact.lanes import LANES, Lanes, lanes_of, on_stack, vectors
 from cycloid_fmu.contact.pose import (
     DiscPose,
@@ -72,7 +72,7 @@ PLACED = lanes_of(
 
 
 @compiled
-def place(
+def place_contacts(
     problem: Problem, crank_angle: float, x: float, contacts: Rows, cold: bool, clear: float, bounded: float
 ) -> None:
     """Solve the contact of every pin at a crank angle and a transmission error x, into `contacts`.
@@ -293,9 +293,15 @@ def feet_in_lanes(group: Lanes, eccentricity: float, teeth: int, ring: bool) -> 
         single = (not tooth.near) | ((distance < group.root_radius[lane]) & beyond_step)
         group.alone[lane] = group.alone[lane] if converged & inside & near_start & single else 1.0
         alpha = min(max(alpha, group.number[lane] * pitch + _END), (group.number[lane] + 1.0) * pitch - _END)
-        offset = Offset(group.offset_x[lane], group.offset_y[lane], group.crank_x[lane], group.crank_y[lane])
+        offset = offset_on_tooth(
+            group.offset_x[lane], group.offset_y[lane], group.crank_x[lane], group.crank_y[lane], group.turn[lane]
+        )
         solved = contact_at(flank, offset, group.pin_radius[lane], alpha - group.conjugate_point[lane], alpha, state)
-        group.foot[lane], group.place[lane], group.foot_rate[lane] = solved.foot, solved.place, solved.foot_rate
+        group.foot[lane], group.profile_parameter[lane], group.foot_rate[lane] = (
+            solved.foot,
+            solved.profile_parameter,
+            solved.foot_rate,
+        )
         group.gap[lane], group.arm[lane], group.arm_rate[lane] = solved.gap, solved.arm, solved.arm_rate
         group.curvature[lane], group.curvature_rate[lane] = solved.curvature, solved.curvature_rate
         group.gap_by_crank[lane], group.foot_by_crank[lane] = solved.gap_by_crank, solved.foot_by_crank
@@ -306,7 +312,7 @@ def solved_in(group: Lanes, lane: int) -> Contact:
     """Return what the foot in a lane gives."""
     return Contact(
         group.foot[lane],
-        group.place[lane],
+        group.profile_parameter[lane],
         group.foot_rate[lane],
         group.gap[lane],
         group.arm[lane],
@@ -404,7 +410,7 @@ def _solve_alone(
     )
     near, root, inwards, extent = tooth.near, tooth.root, tooth.inwards, tooth.extent
     axis = pin_axis(pose, problem.pin_x[pin], problem.pin_y[pin], problem.centre_x[slice_], problem.centre_y[slice_])
-    offset = Offset(axis.centre_x, axis.centre_y, pose.crank_x, pose.crank_y)
+    offset = offset_on_tooth(axis.centre_x, axis.centre_y, pose.crank_x, pose.crank_y, tooth.turn)
     contact, across = contacts[row], contacts[row + 1]
     qx, qy = on_tooth(axis.x, axis.y, tooth.turn)
     start = conjugate + contact.foot + contact.foot_rate * (x - contact.transmission_error)
@@ -437,7 +443,8 @@ def _solve_alone(
         has_foot, alpha, state = foot(qx, qy, start_beyond, lower, upper, R, e, teeth)
         if has_foot and lower < alpha < upper:
             alpha = min(max(alpha, tooth.beyond * pitch + _END), (tooth.beyond + 1.0) * pitch - _END)
-            contact_beyond = contact_at(flank, offset, pin_radius[pin], alpha - conjugate, alpha, state)
+            beyond = offset_on_tooth(axis.centre_x, axis.centre_y, pose.crank_x, pose.crank_y, tooth.turn_beyond)
+            contact_beyond = contact_at(flank, beyond, pin_radius[pin], alpha - conjugate, alpha, state)
             write_contact(across, contact_beyond, crank_angle, x)
         elif contact.gap == math.inf:
             # The edge where the two teeth meet stands out.

@@ -7,7 +7,7 @@ import math
 from cycloid_fmu.contact.compiling import compiled
 from cycloid_fmu.contact.equilibrium import to_touch
 from cycloid_fmu.contact.local_frame import crank_motion, local_frame
-from cycloid_fmu.contact.placement import CLEAR, place
+from cycloid_fmu.contact.placement import CLEAR, place_contacts
 from cycloid_fmu.contact.problem import Problem
 from cycloid_fmu.contact.rows import Rows
 
@@ -49,7 +49,7 @@ def play(problem: Problem, crank_angle: float, x: float, contacts: Rows, cold: b
     lowest, highest = -math.inf, math.inf
     gap = 0.0
     for _ in range(100):
-        place(problem, crank_angle, x, contacts, cold, math.inf, math.inf)
+        place_contacts(problem, crank_angle, x, contacts, cold, math.inf, math.inf)
         cold = False
         gap, active = _smallest_gap(contacts, 0.0)
         if gap > TOUCHING:
@@ -100,7 +100,7 @@ def end_from_neighbour(
     Pins that were clear there stay clear for certain (docs/theory/contact.md), so that few are solved. Where there is
     no free position both ends are found all the same, the lower above the upper.
     """
-    place(problem, crank_angle, x, contacts, cold, CLEAR, math.inf)
+    place_contacts(problem, crank_angle, x, contacts, cold, CLEAR, math.inf)
     return _first_touch(problem, crank_angle, x, contacts, cold, direction)
 
 
@@ -113,7 +113,7 @@ def _first_touch(problem: Problem, crank_angle: float, x: float, contacts: Rows,
         x += direction * step
         if abs(step) < ROTATION_STEP:
             break
-        place(problem, crank_angle, x, contacts, cold, clear, math.inf)
+        place_contacts(problem, crank_angle, x, contacts, cold, clear, math.inf)
     return x
 
 

@@ -17,7 +17,7 @@ force              N     Hertz's force; 0 where the row carries none
 stiffness          N/m   its derivative by the approach
 force_by_curvature N·m   its derivative by the flank's curvature
 transmission_error rad   x at which the row was solved
-place              rad   profile parameter of the contact; other than the foot's where deviations move the contact
+profile_parameter  rad   profile parameter of the contact; other than the foot's where deviations move the contact
 crank_angle        rad   θ at which the row was solved
 gap_by_crank       m/rad the gap's derivative by θ; NaN with deviations, where it reaches no farther than an element
 foot_by_crank      1     the foot's derivative by θ

@@ -27,7 +27,7 @@ from cycloid_fmu.contact.gap import Flank, write_contact
 from cycloid_fmu.contact.hertz import APPROACHED, hertz_in_lanes
 from cycloid_fmu.contact.lanes import LANES, lanes_of, on_stack, record_of, vectors
 from cycloid_fmu.contact.local_frame import gap_gradient, local_frame
-from cycloid_fmu.contact.placement import PLACED, enter, enter_flank, feet_in_lanes, place, solved_in
+from cycloid_fmu.contact.placement import PLACED, enter, enter_flank, feet_in_lanes, place_contacts, solved_in
 from cycloid_fmu.contact.play import ROTATION_STEP
 from cycloid_fmu.contact.pose import conjugate_point, disc_pose, pin_axis
 from cycloid_fmu.contact.problem import Drives, Problem
@@ -111,7 +111,7 @@ def guide_rows(problem: Problem, crank_angles: Array, transmission_error: Array,
     contacts = contact_rows(problem)
     teeth = problem.teeth
     for i in range(crank_angles.size):
-        place(problem, crank_angles[i], transmission_error[i], contacts, i == 0, math.inf, math.inf)
+        place_contacts(problem, crank_angles[i], transmission_error[i], contacts, i == 0, math.inf, math.inf)
         for k in range(rows.shape[1]):
             guide, row = rows[i, k], 2 * k
             if contacts[row + 1].gap < contacts[row].gap:
@@ -295,7 +295,7 @@ def _first_touch(rows: NDArray[np.void], direction: float, work: Memory) -> None
 
 
 @compiled
-def _place(
+def _place_contacts(
     problem: Problem, drives: Drives, rows: NDArray[np.void], reference: float, crank_angle: float, work: Memory
 ) -> None:
     """Place the contacts that may touch, of the drives that were sought or moved."""
@@ -482,7 +482,7 @@ def _settle(
 ) -> None:
     """Balance the torque."""
     for _ in range(_PLACED):
-        _place(problem, drives, rows, reference, crank_angle, work)
+        _place_contacts(problem, drives, rows, reference, crank_angle, work)
         for j in range(work.drives.size):
             if work.drives[j].state == _MOVED:
                 work.drives[j].state = _SOUGHT
@@ -572,7 +572,7 @@ def _reach(
     for j in range(work.drives.size):
         work.x[j], work.drives[j].state = reference + direction * work.touch[j], _SOUGHT
     for _ in range(_PLACED):
-        _place(problem, drives, rows, reference, crank_angle, work)
+        _place_contacts(problem, drives, rows, reference, crank_angle, work)
         moved = 0
         for j in range(work.drives.size):
             drive = work.drives[j]

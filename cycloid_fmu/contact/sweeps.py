@@ -13,7 +13,7 @@ from cycloid_fmu.contact.energy import crank_side
 from cycloid_fmu.contact.equilibrium import equilibrium, load, rotational_stiffness
 from cycloid_fmu.contact.load_sharing import ContactLines, load_sharing, write_contact_lines
 from cycloid_fmu.contact.local_frame import local_frame
-from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place
+from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place_contacts
 from cycloid_fmu.contact.play import ROTATION_STEP, end_from_neighbour, play
 from cycloid_fmu.contact.problem import Problem
 from cycloid_fmu.contact.rows import Rows, contact_rows
@@ -211,7 +211,7 @@ def sweep_crank_side(
     """Write what `crank_side` returns at transmission errors (rad), shapes (angles,); 0 and NaN without contact."""
     contacts = contact_rows(problem)
     for i in range(crank_angles.size):
-        place(problem, crank_angles[i], transmission_error[i], contacts, i == 0, CLEAR, BOUNDED)
+        place_contacts(problem, crank_angles[i], transmission_error[i], contacts, i == 0, CLEAR, BOUNDED)
         load(problem, contacts)
         crank_torque[i], output_rate[i] = crank_side(problem, crank_angles[i], transmission_error[i], contacts)
 
@@ -248,7 +248,12 @@ def sweep_sensitivities(
 
 @compiled
 def sweep_flank_sensitivities(
-    problem: Problem, crank_angles: Array, transmission_error: Array, places: Array, waves: Array, out: Array
+    problem: Problem,
+    crank_angles: Array,
+    transmission_error: Array,
+    profile_parameters: Array,
+    waves: Array,
+    out: Array,
 ) -> None:
     """Derivatives of solved transmission errors at constant torque by normal deviations that all teeth share.
 
@@ -269,7 +274,7 @@ def sweep_flank_sensitivities(
     contacts = contact_rows(problem)
     pitch = 2.0 * math.pi / problem.teeth
     for i in range(crank_angles.size):
-        place(problem, crank_angles[i], transmission_error[i], contacts, i == 0, math.inf, BOUNDED)
+        place_contacts(problem, crank_angles[i], transmission_error[i], contacts, i == 0, math.inf, BOUNDED)
         load(problem, contacts)
         stiffness = 0.0
         for wave in range(waves.shape[0]):
@@ -279,10 +284,10 @@ def sweep_flank_sensitivities(
             if contact.force <= 0.0:
                 continue
             stiffness += rotational_stiffness(contact)
-            along = contact.place - math.floor(contact.place / pitch) * pitch
-            after = min(max(int(np.searchsorted(places, along)), 1), places.size - 1)
-            width = places[after] - places[after - 1]
-            share = (along - places[after - 1]) / width
+            along = contact.profile_parameter - math.floor(contact.profile_parameter / pitch) * pitch
+            after = min(max(int(np.searchsorted(profile_parameters, along)), 1), profile_parameters.size - 1)
+            width = profile_parameters[after] - profile_parameters[after - 1]
+            share = (along - profile_parameters[after - 1]) / width
             local = local_frame(problem, crank_angles[i], transmission_error[i], contacts, row)
             stretch = 1.0 / (local.speed * local.foot)
             # Second derivative of the axis' distance from the flank along it.

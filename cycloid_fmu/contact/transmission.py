@@ -254,10 +254,10 @@ def _flank_points(drive: DriveValue, elements: int) -> tuple[Array, Array, Array
 def _across_width(values: Array, z: Array, face_width: float) -> Array:
     """Values at heights z of elements along the last axis, linear between the elements' middles."""
     count = values.shape[-1]
-    place = np.clip((z / face_width + 0.5) * count - 0.5, 0.0, count - 1.0)
-    low = np.minimum(place.astype(int), max(count - 2, 0))
+    position = np.clip((z / face_width + 0.5) * count - 0.5, 0.0, count - 1.0)
+    low = np.minimum(position.astype(int), max(count - 2, 0))
     high = np.minimum(low + 1, count - 1)
-    share = place - low
+    share = position - low
     return np.asarray((1.0 - share) * values[..., low] + share * values[..., high])
 
 
@@ -354,7 +354,7 @@ def check_falling(drive: contact.Problem, crank_angle: Array, torque: Array, fal
         check_balance(torque[i], contact.carried(rows))
 
 
-def empty_lines(drive: DriveValue, slices: int, places: tuple[int, ...]) -> contact.ContactLines:
+def empty_lines(drive: DriveValue, slices: int, grid: tuple[int, ...]) -> contact.ContactLines:
     """Return empty contact lines at `places` (torques, angles, discs, pins), of the surface's elements or the usual."""
     pair, surface = drive.pair, drive.surface
     g = pair
@@ -362,10 +362,10 @@ def empty_lines(drive: DriveValue, slices: int, places: tuple[int, ...]) -> cont
     around = ANGLE_ELEMENTS if surface.pin_deviation is None else surface.pin_deviation.shape[1]
     alpha, x, y, _, _ = _flank_points(drive, profile)
     return contact.ContactLines(
-        np.zeros((*places, slices), np.float32),
-        np.zeros((*places, slices), np.float32),
-        np.zeros((places[0], g.discs, g.gear_teeth, profile, slices)),
-        np.zeros((places[0], g.pins, around, slices)),
+        np.zeros((*grid, slices), np.float32),
+        np.zeros((*grid, slices), np.float32),
+        np.zeros((grid[0], g.discs, g.gear_teeth, profile, slices)),
+        np.zeros((grid[0], g.pins, around, slices)),
         alpha,
         x,
         y,
@@ -400,9 +400,9 @@ def solve(drive: DriveValue, torque: Array, crank_angle: Array, options: Options
     problem = rigid_problem(drive, slices)
     torques, angles = _contiguous(torque), _contiguous(crank_angle)
     at_angles = along_sweep(torques, angles)
-    loads, places = at_angles.shape, (*at_angles.shape, pair.discs, pair.pins)
+    loads, grid = at_angles.shape, (*at_angles.shape, pair.discs, pair.pins)
     loaded, low, high, gap = _unsolved(problem, loads)
-    lines = empty_lines(drive, slices, places) if options.with_elements else None
+    lines = empty_lines(drive, slices, grid) if options.with_elements else None
     merging = threading.Lock()
 
     def part(first: int, last: int) -> None:
@@ -534,8 +534,10 @@ def form_sensitivity(
     pair, surface = drive.pair, drive.surface
     angles, transmission_error = _contiguous(crank_angle), _contiguous(transmission_error)
     elements = PROFILE_POINTS if surface.gear_deviation is None else surface.gear_deviation.shape[2]
-    places = np.concatenate([[0.0], equal_arc_parameters(pair, elements), [2.0 * np.pi / pair.gear_teeth]])
+    profile_parameters = np.concatenate([[0.0], equal_arc_parameters(pair, elements), [2.0 * np.pi / pair.gear_teeth]])
     waves = np.pad(np.array([profile_wave(name, elements) for name in names]), ((0, 0), (1, 1)), "edge")
     by_order = np.empty((angles.size, len(names)))
-    contact.sweep_flank_sensitivities(rigid_problem(drive, slices), angles, transmission_error, places, waves, by_order)
+    contact.sweep_flank_sensitivities(
+        rigid_problem(drive, slices), angles, transmission_error, profile_parameters, waves, by_order
+    )
     return by_order

@@ -37,7 +37,7 @@ class BenchLosses:
     misfit: float
 
     @property
-    def told(self) -> str:
+    def summary(self) -> str:
         """How well the table agrees, and its temperature coefficient."""
         text = f"the loss table's residual is {100.0 * self.misfit:.2g} % of the losses (rms)"
         if self.temperature_coefficient == 0.0:
@@ -79,8 +79,8 @@ def fitted_losses(
     >>> import numpy as np
     >>> from cycloid_fmu.fmu.bench_losses import fitted_losses
     >>> torque = np.array([0.0, 1.0, 2.0])
-    >>> found = fitted_losses(np.full(3, 10.0), torque, (torque + 0.02) / 0.9 - torque)
-    >>> [round(float(value), 6) for value in found.rows[0][1:]]
+    >>> fit = fitted_losses(np.full(3, 10.0), torque, (torque + 0.02) / 0.9 - torque)
+    >>> [round(float(value), 6) for value in fit.rows[0][1:]]
     [0.9, 0.888889, 0.02, 0.025]
     """
     from scipy.optimize import minimize_scalar, nnls
@@ -90,43 +90,49 @@ def fitted_losses(
     reference = REFERENCE_TEMPERATURE if temperature is None else float(np.mean(temperature))
     warmer = np.zeros(speed.size) if temperature is None else temperature - reference
     speeds = np.unique(np.abs(speed))
-    for one in speeds:
-        if np.unique(torque[(np.abs(speed) == one) & (torque >= 0.0)]).size < 2:
+    for set_speed in speeds:
+        if np.unique(torque[(np.abs(speed) == set_speed) & (torque >= 0.0)]).size < 2:
             raise ValueError(
-                f"at {one:g} rad/s there are fewer than two torques with flange_a driving: friction and efficiency "
-                "need two"
+                f"at {set_speed:g} rad/s there are fewer than two torques with flange_a driving: friction and "
+                "efficiency need two"
             )
 
     def lines(coefficient: float) -> tuple[list[LossRow], float]:
         """Return the nearest table for a temperature coefficient, and its residual sum of squares."""
-        warmth, rows, left = np.exp(-coefficient * warmer), [], 0.0
-        for one in speeds:
-            found: list[NDArray[np.float64]] = []
+        warmth, rows, residual = np.exp(-coefficient * warmer), [], 0.0
+        for set_speed in speeds:
+            coefficients: list[NDArray[np.float64]] = []
             for side in (torque >= 0.0, torque < 0.0):
-                at = (np.abs(speed) == one) & side
-                if not at.any():
-                    found.append(found[0])
+                selected = (np.abs(speed) == set_speed) & side
+                if not selected.any():
+                    coefficients.append(coefficients[0])
                     continue
-                matrix = np.column_stack([np.abs(torque[at]), np.ones(at.sum())]) * warmth[at, None]
-                line, off = nnls(matrix, loss[at])
-                found.append(line)
-                left += off**2
-            (a, b), (back, friction) = found
+                matrix = np.column_stack([np.abs(torque[selected]), np.ones(selected.sum())]) * warmth[selected, None]
+                line, off = nnls(matrix, loss[selected])
+                coefficients.append(line)
+                residual += off**2
+            (a, b), (back, friction) = coefficients
             efficiency = max(1.0 - back, 0.0)
             rows.append(
-                (float(one), 1.0 / (1.0 + a), efficiency, b / (1.0 + a), friction / efficiency if efficiency else 0.0)
+                (
+                    float(set_speed),
+                    1.0 / (1.0 + a),
+                    efficiency,
+                    b / (1.0 + a),
+                    friction / efficiency if efficiency else 0.0,
+                )
             )
-        return rows, left
+        return rows, residual
 
     coefficient = 0.0
     if np.ptp(warmer) > 0.0:
         span = (-_LARGEST_COEFFICIENT, _LARGEST_COEFFICIENT)
         coefficient = float(minimize_scalar(lambda c: lines(c)[1], bounds=span, options={"xatol": 1e-8}).x)
-    rows, left = lines(coefficient)
+    rows, residual = lines(coefficient)
     table = [tuple(map(float, row)) for row in rows]
     if table[0][0] > 0.0:
         table.insert(0, (0.0, *table[0][1:]))
-    return BenchLosses(tuple(table), coefficient, reference, math.sqrt(left / float(np.sum(loss**2))))  # type: ignore[arg-type]
+    return BenchLosses(tuple(table), coefficient, reference, math.sqrt(residual / float(np.sum(loss**2))))  # type: ignore[arg-type]
 
 
 def read_bench_losses(path: str | os.PathLike[str], ratio: float) -> BenchLosses:

@@ -73,7 +73,7 @@ def build_fmu(
     library = _LIBRARIES[fmi_version]
     table = variables(drive, interface, fmi_version)
     with tempfile.TemporaryDirectory(prefix="cycloid-fmu-") as folder, edge.written_whole(path) as temporary:
-        place = Path(folder)
+        resources = Path(folder)
         numbers: dict[str, object] = {
             "format": FORMAT,
             "package_version": __version__,
@@ -87,18 +87,18 @@ def build_fmu(
         }
         if first_stage is not None:
             numbers["first_stage"] = json.loads(first_stage.text)
-        (place / NUMBERS).write_text(json.dumps(numbers, indent=1), encoding="utf-8")
-        with (place / SURFACE).open("wb") as file:
+        (resources / NUMBERS).write_text(json.dumps(numbers, indent=1), encoding="utf-8")
+        with (resources / SURFACE).open("wb") as file:
             arrays = {**surface.errors, **{name: getattr(surface, name) for name in DEVIATIONS}}
             np.savez(file, allow_pickle=False, **{n: a for n, a in arrays.items() if a is not None})
-        write_surface(surface, place / "surface.nc")
+        write_surface(surface, resources / "surface.nc")
         script = Path(__file__).with_name(_SCRIPTS[fmi_version])
-        files = [place / name for name in (NUMBERS, SURFACE, "surface.nc")]
-        (place / SUMS).write_bytes(sums_of({path.name: path.read_bytes() for path in (*files, script)}))
-        archive = build_archive(library, script, [*files, place / SUMS], place)
+        files = [resources / name for name in (NUMBERS, SURFACE, "surface.nc")]
+        (resources / SUMS).write_bytes(sums_of({path.name: path.read_bytes() for path in (*files, script)}))
+        archive = build_archive(library, script, [*files, resources / SUMS], resources)
         fronts = _FRONTS if fmi_version == "2.0" else {}
-        with zipfile.ZipFile(archive) as made:
-            contents = {fronts.get(name, name): made.read(name) for name in made.namelist()}
+        with zipfile.ZipFile(archive) as built:
+            contents = {fronts.get(name, name): built.read(name) for name in built.namelist()}
         for name, behind in fronts.items():
             if behind in contents:
                 contents[name] = (_FRONT / name.removeprefix("binaries/")).read_bytes()

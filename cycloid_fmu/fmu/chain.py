@@ -31,8 +31,8 @@ def own_stiffness(drive: DriveValue) -> float:
         return math.nan
     loads = [share * pair.rated_torque for share in LOADS]
     angles = np.linspace(0.0, 2.0 * np.pi, _ANGLES, endpoint=False)
-    found = solve(drive, loads, angles, with_play=False, with_stiffness=False)
-    low, high = found.transmission_error.mean(axis=1)
+    swept = solve(drive, loads, angles, with_play=False, with_stiffness=False)
+    low, high = swept.transmission_error.mean(axis=1)
     return float((loads[1] - loads[0]) / (high - low))
 
 
@@ -101,8 +101,8 @@ def read_loop(path: str | os.PathLike[str]) -> tuple[float, float]:
     if isinstance(free, dict) and grows:
         given, names = free, ("torsional_stiffness", "friction_torque")
     for name in names:
-        found = given.get(name)
-        value = found.get("value") if isinstance(found, dict) else None
+        entry = given.get(name)
+        value = entry.get("value") if isinstance(entry, dict) else None
         if not isinstance(value, int | float) or not math.isfinite(value):
             raise edge.InputError(f"{path}: {name} is missing; figures of a measured torque-windup loop have it.")
         values[name] = float(value)
@@ -125,10 +125,10 @@ def read_chain(path: str | os.PathLike[str]) -> tuple[float, float]:
         If the file is not an identification or has neither of the two.
     """
     bench = edge.json_table(path, IDENTIFICATION, "identification").get("bench")
-    found = []
+    values = []
     for name in ("chain_compliance", "friction_torque"):
         value = bench.get(name) if isinstance(bench, dict) else None
         if not isinstance(value, int | float) or not math.isfinite(value):
             raise edge.InputError(f"{path}: bench has no {name}; identify again.")
-        found.append(max(float(value), 0.0))
-    return found[0], found[1]
+        values.append(max(float(value), 0.0))
+    return values[0], values[1]

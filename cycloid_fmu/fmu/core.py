@@ -63,25 +63,25 @@ def checked_resources(resources: Path) -> dict[str, bytes]:
             raise RuntimeError(f"{resources / name}: it can't be read: {problem.strerror}") from None
 
     rows = [line.partition("  ") for line in read(SUMS).decode("ascii", "replace").splitlines()]
-    found = {}
+    contents = {}
     for name in dict.fromkeys((NUMBERS, SURFACE, *(name for _, _, name in rows))):
-        found[name] = read(name)
-        if (hashlib.sha256(found[name]).hexdigest(), "  ", name) not in rows:
+        contents[name] = read(name)
+        if (hashlib.sha256(contents[name]).hexdigest(), "  ", name) not in rows:
             raise RuntimeError(f"{resources / name}: it is damaged: {SUMS} beside it has another checksum")
-    return found
+    return contents
 
 
 def variables_hash(table: Sequence[Variable]) -> str:
     """Return the fingerprint of the variables in a model description, their order and references included."""
-    told = [(v.name, v.kind, v.causality, v.variability, v.dimensions) for v in table]
-    return hashlib.sha256(repr(told).encode()).hexdigest()[:16]
+    fields = [(v.name, v.kind, v.causality, v.variability, v.dimensions) for v in table]
+    return hashlib.sha256(repr(fields).encode()).hexdigest()[:16]
 
 
 def interface_from(numbers: dict[str, Any]) -> Interface:
     """Return the interface that a builder wrote into the resources."""
-    made: dict[str, Any] = {name: Friction(**numbers[name]) for name in ("input_friction", "output_friction")}
-    made |= {name: kind(**numbers[name]) for name, kind in ADDED.items() if name in numbers}
-    return Interface(**{**numbers, **made, "losses": tuple(tuple(row) for row in numbers["losses"])})
+    models: dict[str, Any] = {name: Friction(**numbers[name]) for name in ("input_friction", "output_friction")}
+    models |= {name: kind(**numbers[name]) for name, kind in ADDED.items() if name in numbers}
+    return Interface(**{**numbers, **models, "losses": tuple(tuple(row) for row in numbers["losses"])})
 
 
 class Core:
@@ -102,7 +102,7 @@ class Core:
         The interface of the FMU.
     table
         Its variables by reference.
-    told
+    summary
         Its stiffness as text, for the model description.
     faults
         Refused values not yet corrected: {reference of the variable: sentence}.
@@ -131,7 +131,7 @@ class Core:
         self.table = self.clockwork.table
         if variables_hash(tuple(self.table.values())) != numbers["variables"]:
             raise RuntimeError(f"{built}, whose variables are others: {again}")
-        self.told = stiffness_text(pair, interface)
+        self.summary = stiffness_text(pair, interface)
         self.phase = INSTANTIATED
         self.faults: dict[int, str] = {}
         self._hash = hashlib.sha256(files[NUMBERS] + files[SURFACE]).digest()

@@ -30,7 +30,7 @@ def _text(variable: Variable, value: float) -> str:
     return str(int(value)) if variable.kind == "integer" else repr(float(value))
 
 
-def _places(table: Sequence[Variable], version: Version, references: Sequence[int] | None) -> dict[str, int]:
+def _numbers(table: Sequence[Variable], version: Version, references: Sequence[int] | None) -> dict[str, int]:
     """Return the number of each variable in a model description: its index in FMI 2.0, its reference in 3.0."""
     numbers = range(1, len(table) + 1) if version == "2.0" else references or range(len(table))
     return {v.name: number for v, number in zip(table, numbers, strict=True)}
@@ -51,7 +51,7 @@ def unit_definitions(table: Sequence[Variable]) -> Element:
 def model_variables(table: Sequence[Variable], version: Version, references: Sequence[int] | None = None) -> Element:
     """Return `<ModelVariables>`; by default the value reference is the index in the table."""
     root = Element("ModelVariables")
-    places = _places(table, version, references)
+    numbers = _numbers(table, version, references)
     for reference, variable in zip(references or range(len(table)), table, strict=True):
         outer = {
             "name": variable.name,
@@ -71,7 +71,7 @@ def model_variables(table: Sequence[Variable], version: Version, references: Seq
             values = start if isinstance(start, tuple) else (start,)
             inner["start"] = " ".join(_text(variable, v) for v in values)
         if variable.derivative_of is not None:
-            inner["derivative"] = str(places[variable.derivative_of])
+            inner["derivative"] = str(numbers[variable.derivative_of])
         given = {k: v for k, v in inner.items() if v is not None}
         kind = _TYPES[version][variable.kind]
         if version == "2.0":
@@ -99,7 +99,7 @@ def model_structure(
         Names of the continuous states of Model Exchange, in order.
     """
     root = Element("ModelStructure")
-    places = _places(table, version, references)
+    numbers = _numbers(table, version, references)
     derivatives = [next(v for v in table if v.derivative_of == name) for name in states]
     outputs = [v for v in table if v.causality == "output"]
     exchanged = {v.name for v in derivatives} | set(states)
@@ -116,12 +116,12 @@ def model_structure(
         for variable in variables:
             initial = variable.initially if states else (*variable.depends, *variable.initially)
             names = initial if section == "InitialUnknowns" else variable.depends
-            known = " ".join(str(places[n]) for n in sorted(set(names), key=places.__getitem__))
-            at = str(places[variable.name])
+            known = " ".join(str(numbers[n]) for n in sorted(set(names), key=numbers.__getitem__))
+            number = str(numbers[variable.name])
             if not section:
-                SubElement(node, item, valueReference=at)
+                SubElement(node, item, valueReference=number)
             elif version == "2.0":
-                SubElement(node, "Unknown", index=at, dependencies=known)
+                SubElement(node, "Unknown", index=number, dependencies=known)
             else:
-                SubElement(node, item, valueReference=at, dependencies=known)
+                SubElement(node, item, valueReference=number, dependencies=known)
     return root

@@ -179,7 +179,7 @@ def _solve_mesh(mesh: _Mesh, operation: int, crank_angle: float, a: float, b: fl
         result[0], result[1] = low, high
         return _SOLVED if math.isfinite(low) else _UNSOLVED
     elif operation == SOLVE_TOUCH:
-        contact.place(drive, crank_angle, a, mesh.play_rows, numbers[_PLAY_COLD] != 0.0, math.inf, math.inf)
+        contact.place_contacts(drive, crank_angle, a, mesh.play_rows, numbers[_PLAY_COLD] != 0.0, math.inf, math.inf)
         result[0] = contact.touch_rate(drive, crank_angle, a, mesh.play_rows, b)
     else:
         count, result[1] = load_sharing(drive, rows, mesh.pin_force, mesh.pin_pressure)
@@ -341,7 +341,7 @@ _KINDS: dict[str, Any] = {}  # types of boxes by their names
 def _callback(box: Any, on_bearings: bool) -> Any:
     """Return the C function of a type of box; what numba compiles is kept on disk until the kernels' sources change."""
     # numba distinguishes what it keeps by the values that a function encloses, which must be the same in each process.
-    kind, sources = str(box), repr(SOURCES)
+    kind, sources = str(box), SOURCES
     _KINDS[kind] = box
 
     def solve_mesh(address: int, operation: int, crank_angle: float, a: float, b: float, result: Any) -> int:
@@ -431,7 +431,7 @@ def _of_bearings(drive: DriveValue, shared: tuple[Array, Array]) -> tuple[Any, _
         problem = problem_of(drive, drive.slices)._replace(shift_x=shift_x, shift_y=shift_y, turn=turn)
         work, results, rows = work_of(assembly), np.zeros(energy.FOUND), contact.contact_rows(problem)
         stands.append((energy.held(problem, assembly, work), rows, results))
-        memory.append((rows, results, work.place, work.pose, work.moved))
+        memory.append((rows, results, work.coordinates, work.pose, work.moved))
     numbers = np.array([math.nan, math.nan, math.nan, 0.0, 1.0, tangent])
     held, rows_of, results_of = (tuple(parts) for parts in zip(*stands, strict=True))
     floating = _OnBearings(held, rows_of, results_of, numbers, *shared)

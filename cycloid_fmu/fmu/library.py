@@ -138,14 +138,14 @@ def _compiled(suffix: str) -> Path:
             "as gcc or clang, or state its command in the variable CC",
             this_platform(),
         )
-    with tempfile.TemporaryDirectory(prefix="cycloid-fmu-") as place:
+    with tempfile.TemporaryDirectory(prefix="cycloid-fmu-") as sources:
         for name, data in source_files().items():
-            (Path(place) / name).write_bytes(data)
+            (Path(sources) / name).write_bytes(data)
         command = [compiler, *FLAGS, f'-DSOURCE_HASH="{source_hash()}"', "-o", file, *SOURCES, "-lm"]
-        done = subprocess.run(command, cwd=place, capture_output=True, text=True, check=False)
+        done = subprocess.run(command, cwd=sources, capture_output=True, text=True, check=False)
         if done.returncode != 0:
             raise RuntimeError(f"{compiler} failed: {done.stderr.strip().splitlines()[-1:]}")
-        data = (Path(place) / file).read_bytes()
+        data = (Path(sources) / file).read_bytes()
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with edge.written_whole(folder / file) as temporary:

@@ -118,10 +118,10 @@ def with_model_losses(interface: Interface, drive: DriveValue) -> tuple[Interfac
     """
     if drive.pair.losses is None or drive.pair.supports is None or states_friction(interface):
         return interface, None
-    found = model_losses(drive)
+    computed = model_losses(drive)
     names = ("input_friction", "output_friction", "lubricant")
-    values = {name: getattr(found, name) for name in names}
-    return dataclasses.replace(interface, losses=found.rows, loss_ripple=found.ripple, **values), found
+    values = {name: getattr(computed, name) for name in names}
+    return dataclasses.replace(interface, losses=computed.rows, loss_ripple=computed.ripple, **values), computed
 
 
 def model_losses(drive: DriveValue) -> ModelLosses:
@@ -139,7 +139,7 @@ def model_losses(drive: DriveValue) -> ModelLosses:
     lubricant = losses.lubricant
     if lubricant is not None and all(row[1:] == rows[-1][1:] for row in rows[1:]):
         lubricant = None  # nothing depends on its viscosity
-    found = ModelLosses(
+    computed = ModelLosses(
         rows,
         Friction(viscous=losses.input_drag.viscous),
         Friction(coulomb=losses.output_drag.coulomb, viscous=losses.output_drag.viscous),
@@ -151,7 +151,7 @@ def model_losses(drive: DriveValue) -> ModelLosses:
         _ripple(drive, rows),
         tuple(sorted(set(losses.from_table.values()))),
     )
-    return _compared(model, found)
+    return _compared(model, computed)
 
 
 def table_torque(rows: tuple[LossRow, ...], speed: float, asked: Array) -> Array:
@@ -185,7 +185,7 @@ class _Model:
             "input_drag": self.losses.input_drag.replace(viscous=0.0),
             "output_drag": Drag(churning=self.losses.output_drag.churning),
         }
-        self.places = dict[tuple[float, ...], Array]()
+        self.starts = dict[tuple[float, ...], Array]()
         self.contacts = _with_losses(drive, self.losses.replace(**drags))
 
     def input_torque(self, drive: DriveValue, loads: Array, direction: int, speed: float) -> Array:
@@ -193,10 +193,10 @@ class _Model:
 
         `speed` is that of flange_a, rad/s; a drive that jams is refused.
         """
-        at = (direction, *loads)
-        rubbed = solve(drive, loads, self.angles, direction, speed / abs(self.rate), near=self.places.get(at))
-        if np.isfinite(rubbed.place).all():
-            self.places[at] = rubbed.place
+        key = (direction, *loads)
+        rubbed = solve(drive, loads, self.angles, direction, speed / abs(self.rate), near=self.starts.get(key))
+        if np.isfinite(rubbed.coordinates).all():
+            self.starts[key] = rubbed.coordinates
         torque: Array = direction * math.copysign(1.0, self.rate) * rubbed.input_torque
         if np.isnan(torque).any():
             load = loads[np.isnan(torque).any(axis=1)][0]
@@ -232,12 +232,12 @@ def nearest_line(load: Array, loss: Array) -> tuple[float, float]:
     """Return slope and constant, not below 0, of the line with the smallest largest difference over the load."""
     from scipy.optimize import linprog
 
-    one = np.ones(load.size)
-    rising = np.column_stack([one, one / load, -one])
-    falling = np.column_stack([-one, -one / load, -one])
+    ones = np.ones(load.size)
+    rising = np.column_stack([ones, ones / load, -ones])
+    falling = np.column_stack([-ones, -ones / load, -ones])
     shares = loss / load
-    found = linprog([0.0, 0.0, 1.0], np.vstack([rising, falling]), np.concatenate([shares, -shares]))
-    return float(found.x[0]), float(found.x[1])
+    optimum = linprog([0.0, 0.0, 1.0], np.vstack([rising, falling]), np.concatenate([shares, -shares]))
+    return float(optimum.x[0]), float(optimum.x[1])
 
 
 def _even_angles(drive: DriveValue) -> Array:
@@ -384,7 +384,7 @@ def _at_temperature(drive: DriveValue, kelvin: float) -> DriveValue:
     return _with_losses(drive, losses_of(drive).replace(lubricant=lubricant.replace(temperature=kelvin)))
 
 
-def _compared(model: _Model, found: ModelLosses) -> ModelLosses:
+def _compared(model: _Model, computed: ModelLosses) -> ModelLosses:
     """Return losses with their largest differences from the model."""
     low, high = _range(model.drive)
     stated = model.losses.lubricant
@@ -396,7 +396,7 @@ def _compared(model: _Model, found: ModelLosses) -> ModelLosses:
             warm = _at_temperature(model.drive, kelvin)
             off = np.array(
                 [
-                    _differences(model, found, warm, direction, side * model.rated * np.array(_COMPARED), kelvin)
+                    _differences(model, computed, warm, direction, side * model.rated * np.array(_COMPARED), kelvin)
                     for direction, side in itertools.product((1, -1), (1.0, -1.0))
                 ]
             )
@@ -409,12 +409,12 @@ def _compared(model: _Model, found: ModelLosses) -> ModelLosses:
     if problem is not None and not compared:
         raise problem
     return dataclasses.replace(
-        found, mean_deviation=mean, angle_deviation=single, temperatures=(compared[0], compared[-1])
+        computed, mean_deviation=mean, angle_deviation=single, temperatures=(compared[0], compared[-1])
     )
 
 
 def _differences(
-    model: _Model, found: ModelLosses, warm: DriveValue, direction: int, loads: Array, kelvin: float
+    model: _Model, computed: ModelLosses, warm: DriveValue, direction: int, loads: Array, kelvin: float
 ) -> Array:
     """Return differences of the torque at flange_a from the model's over the load's torque there.
 
@@ -423,14 +423,14 @@ def _differences(
     smooth = model.input_torque(_with_losses(model.drive, Losses()), loads, direction, 0.0)
     thinning, off = _thinning(model.losses.lubricant, kelvin), list[Array]()
     for speed in (0.0, INPUT_STRIBECK_SPEED, 0.1 * LARGEST_SPEED, LARGEST_SPEED):
-        drag = found.output_friction.coulomb + found.output_friction.viscous * speed / model.ratio
+        drag = computed.output_friction.coulomb + computed.output_friction.viscous * speed / model.ratio
         asked = smooth * (1.0 + drag / (direction * loads))[:, None]
-        of_fmu = _of_fmu(model, found, asked, direction, speed * thinning) + found.input_friction.viscous * speed
+        of_fmu = _of_fmu(model, computed, asked, direction, speed * thinning) + computed.input_friction.viscous * speed
         off.append(model.input_torque(warm, loads, direction, speed) - of_fmu)
     return np.array(off) / (np.abs(loads) / model.ratio)[:, None]
 
 
-def _of_fmu(model: _Model, found: ModelLosses, asked: Array, direction: int, reduced: float) -> Array:
+def _of_fmu(model: _Model, computed: ModelLosses, asked: Array, direction: int, reduced: float) -> Array:
     """Return the torque at flange_a with the losses of an FMU, shape (loads, angles), N·m.
 
     Parameters
@@ -442,10 +442,10 @@ def _of_fmu(model: _Model, found: ModelLosses, asked: Array, direction: int, red
     reduced
         Speed of flange_a, rad/s, times the lubricant's viscosity over the stated one.
     """
-    lost = table_torque(found.rows, reduced, asked) - asked
-    if found.ripple is not None:
+    lost = table_torque(computed.rows, reduced, asked) - asked
+    if computed.ripple is not None:
         turn = direction * math.copysign(1.0, model.rate)
         for k, mean in enumerate(asked.mean(axis=1).tolist()):
-            lost[k] = np.maximum(lost[k] + found.ripple.torque(model.angles, turn * mean, mean > 0.0, reduced), 0.0)
+            lost[k] = np.maximum(lost[k] + computed.ripple.torque(model.angles, turn * mean, mean > 0.0, reduced), 0.0)
     needed: Array = asked + lost
     return needed

@@ -37,8 +37,8 @@ IDENTIFIER = "CycloidDrive"
 
 def platforms_of(version: Version) -> tuple[str, ...]:
     """Return the platforms of an FMI version; FMI 2.0's macOS binary holds both processors."""
-    place = ("2.0", "3.0").index(version)
-    return tuple(name for name, kind in PLATFORMS.items() if kind.folders[place])
+    version_index = ("2.0", "3.0").index(version)
+    return tuple(name for name, kind in PLATFORMS.items() if kind.folders[version_index])
 
 
 def checked_platforms(platforms: Sequence[str], version: Version) -> tuple[str, ...]:
@@ -50,9 +50,9 @@ def checked_platforms(platforms: Sequence[str], version: Version) -> tuple[str, 
         If one can't be built for.
     """
     names = tuple(dict.fromkeys(platforms)) or platforms_of(version)
-    place = ("2.0", "3.0").index(version)
+    version_index = ("2.0", "3.0").index(version)
     for name in names:
-        if not platform_of(name).folders[place]:
+        if not platform_of(name).folders[version_index]:
             raise ArgumentError("platforms", f"FMI {version} does not know it, FMI 3.0 does", name)
         library_path(name)
     return names
@@ -71,12 +71,12 @@ def universal(parts: dict[str, bytes]) -> bytes:
 
 def binaries(version: Version, names: Sequence[str], identifier: str) -> dict[str, bytes]:
     """Return the libraries of platforms, and a licence, by their path in an FMU with a model identifier."""
-    place = ("2.0", "3.0").index(version)
+    version_index = ("2.0", "3.0").index(version)
     libraries = {name: library_path(name).read_bytes() for name in names}
     files = {"documentation/licenses/zig.txt": LICENCE.read_bytes()}
     for name, data in libraries.items():
         kind = platform_of(name)
-        files[f"binaries/{kind.folders[place]}/{identifier}{kind.suffix}"] = data
+        files[f"binaries/{kind.folders[version_index]}/{identifier}{kind.suffix}"] = data
     apple = {name: data for name, data in libraries.items() if name.endswith("darwin")}
     if version == "2.0" and len(apple) > 1:
         files[f"binaries/darwin64/{identifier}.dylib"] = universal(apple)
@@ -86,13 +86,13 @@ def binaries(version: Version, names: Sequence[str], identifier: str) -> dict[st
 def _description(
     version: Version,
     token: str,
-    kept: dict[int, Variable],
+    by_reference: dict[int, Variable],
     interface: Interface,
-    made: tables.Tables,
+    drive_tables: tables.Tables,
     stiffness: str,
 ) -> Element:
-    listed = list(kept.values())
-    text = f"Cycloid-pin gear drive, {interface.kind}, {made.told}; {stiffness}"
+    listed = list(by_reference.values())
+    text = f"Cycloid-pin gear drive, {interface.kind}, {drive_tables.accuracy}; {stiffness}"
     common = {
         "fmiVersion": version,
         "modelName": IDENTIFIER,
@@ -136,8 +136,8 @@ def _description(
     for name, why in (("logStatusWarning", "torques beyond the tables"), ("logStatusError", "refused values")):
         SubElement(categories, "Category", name=name, description=why)
     SubElement(root, "DefaultExperiment", startTime="0.0", stopTime="1.0", stepSize=repr(interface.step))
-    root.append(model_variables(listed, version, tuple(kept)))
-    root.append(model_structure(listed, version, tuple(kept), continuous_states(interface)))
+    root.append(model_variables(listed, version, tuple(by_reference)))
+    root.append(model_structure(listed, version, tuple(by_reference), continuous_states(interface)))
     return root
 
 
@@ -165,7 +165,7 @@ def build_native(
     fmi_version: Version = "2.0",
     platforms: Sequence[str] = (),
     largest_torque: float | None = None,
-    made: tables.Tables | None = None,
+    drive_tables: tables.Tables | None = None,
     workers: int = 1,
     total: Callable[[int], None] = lambda angles: None,
     progress: Callable[[int], None] = lambda angles: None,
@@ -180,7 +180,7 @@ def build_native(
         Keys of `PLATFORMS`; if empty, all of the FMI version.
     largest_torque
         Largest torque of the tables, N·m; None for 2.5 times the rated torque. Beyond, they have no stated accuracy.
-    made
+    drive_tables
         Tables of this drive; None for those in the cache (`table_cache`), or computed ones.
     workers, total, progress
         As in `tables.compute`.
@@ -200,21 +200,25 @@ def build_native(
     with edge.written_whole(path) as temporary:
         libraries = binaries(fmi_version, names, IDENTIFIER)
         every = variables(drive, interface, fmi_version)
-        kept = exchanged(from_tables(every), interface, fmi_version)
-        if made is None:
-            made = tables_of(drive.stage, largest_load=largest_torque, workers=workers, total=total, progress=progress)
-        table = table_body(made, interface, kept, drive.first_stage)
+        by_reference = exchanged(from_tables(every), interface, fmi_version)
+        if drive_tables is None:
+            drive_tables = tables_of(
+                drive.stage, largest_load=largest_torque, workers=workers, total=total, progress=progress
+            )
+        table = table_body(drive_tables, interface, by_reference, drive.first_stage)
         token = token_of(__version__ + hashlib.sha256(table).hexdigest())
         contents = {
             "modelDescription.xml": xml_bytes(
-                _description(fmi_version, token, kept, interface, made, stiffness_text(drive.pair, interface))
+                _description(
+                    fmi_version, token, by_reference, interface, drive_tables, stiffness_text(drive.pair, interface)
+                )
             ),
             f"resources/{DRIVE.file}": sealed(table, token, DRIVE),
             **{f"sources/{name}": data for name, data in source_files().items()},
             **libraries,
-            **parts(drive, interface, list(kept.values()), fmi_version, ()),
+            **parts(drive, interface, list(by_reference.values()), fmi_version, ()),
         }
         if fmi_version == "3.0":
             contents["sources/buildDescription.xml"] = xml_bytes(build_description(IDENTIFIER))
         write_archive(temporary, contents)
-    return made
+    return drive_tables

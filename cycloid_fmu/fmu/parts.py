@@ -137,11 +137,11 @@ def icon(pair: Pair) -> bytes:
 
 def licences(packages: Sequence[str]) -> str:
     """Return the licence texts of this package and of other packages with files in the FMU."""
-    found = []
+    sections = []
     for package in ("cycloid-fmu", *packages):
         texts = [f.read_text() for f in metadata.files(package) or [] if f.name.upper().startswith("LICENSE")]
-        found.append(f"{package}\n{'=' * len(package)}\n\n" + "\n".join(texts))
-    return "\n\n".join(found)
+        sections.append(f"{package}\n{'=' * len(package)}\n\n" + "\n".join(texts))
+    return "\n\n".join(sections)
 
 
 def parts(
@@ -161,15 +161,15 @@ def parts(
         Installed packages with files in the FMU, for their licences.
     """
     pair = drive.pair
-    found = {
+    files = {
         "documentation/index.html": documentation(pair, interface, table).encode(),
         DRIVE: f"# drive {drive.hash}\n{drive.text}".encode(),
         "documentation/licenses/license.txt": licences(packages).encode(),
     }
     if version == "2.0":
-        return {**found, "model.png": icon(pair)}
+        return {**files, "model.png": icon(pair)}
     return {
-        **found,
+        **files,
         "terminalsAndIcons/terminalsAndIcons.xml": terminals(interface),
         "terminalsAndIcons/icon.png": icon(pair),
     }

@@ -60,7 +60,7 @@ def described(path: str | os.PathLike[str]) -> tuple[list[dict[str, Any]], list[
         return variables, edge.call_limited(path, validate_fmu, str(path))
 
 
-def told(path: str | os.PathLike[str]) -> str:
+def description_of(path: str | os.PathLike[str]) -> str:
     """Return the description in the FMU's model description, which states its stiffness.
 
     Raises
@@ -121,8 +121,8 @@ class Fmu:
         fmpy's descriptions of the variables by name.
     """
 
-    def __init__(self, path: str | os.PathLike[str], description: Any, slave: Any, said: list[str]) -> None:
-        self.path, self.slave, self._said = path, slave, said
+    def __init__(self, path: str | os.PathLike[str], description: Any, slave: Any, messages: list[str]) -> None:
+        self.path, self.slave, self._messages = path, slave, messages
         self.variables = {v.name: v for v in description.modelVariables}
         self._new = description.fmiVersion.startswith("3")
 
@@ -171,7 +171,7 @@ class Fmu:
 
     def _raise(self, what: str, problem: Exception) -> NoReturn:
         # Messages of a Python slave begin with the exception's class.
-        why = re.sub(r"""^\w+\((['"])(.*)\1\)$""", r"\2", self._said[-1] if self._said else str(problem))
+        why = re.sub(r"""^\w+\((['"])(.*)\1\)$""", r"\2", self._messages[-1] if self._messages else str(problem))
         raise edge.InputError(f"{self.path}: {what} was refused: {why.rstrip('.')}.") from None
 
 
@@ -193,10 +193,10 @@ def open_fmu(path: str | os.PathLike[str], inputs: Iterable[str] = (), outputs: 
     from fmpy.fmi2 import FMU2Slave, defaultCallbacks, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
     from fmpy.fmi3 import FMU3Slave
 
-    description, said = _description(path), list[str]()
+    description, messages = _description(path), list[str]()
 
     def listen(*words: Any) -> None:
-        said.append(words[-1].decode("utf-8", "replace").splitlines()[-1])
+        messages.append(words[-1].decode("utf-8", "replace").splitlines()[-1])
 
     if description.coSimulation is None:
         raise edge.InputError(f"{path}: this FMU is not for co-simulation.")
@@ -220,9 +220,11 @@ def open_fmu(path: str | os.PathLike[str], inputs: Iterable[str] = (), outputs: 
         try:
             slave.instantiate(loggingOn=True, **logging)
         except Exception as problem:  # fmpy has no specific class
-            why = re.sub(r"^\w+\((['\"])(.*)\1\)$", r"\2", said[-1]) if said else str(problem)  # strip its class
+            why = (
+                re.sub(r"^\w+\((['\"])(.*)\1\)$", r"\2", messages[-1]) if messages else str(problem)
+            )  # strip its class
             raise edge.InputError(f"{path}: this FMU can't be instantiated: {why.rstrip('.')}.") from None
-        yield Fmu(path, description, slave, said)
+        yield Fmu(path, description, slave, messages)
         slave.terminate()
     finally:
         if slave.component:
@@ -260,19 +262,19 @@ def simulate(
     results
         {name: shape (samples,)}, SI.
     """
-    found = np.empty((time.size, len(outputs)))
+    results = np.empty((time.size, len(outputs)))
     with open_fmu(path, inputs, outputs) as fmu:
         moving = "largest_step" in fmu.variables
         fmu.initialize({**(parameters or {}), **{n: float(v[0]) for n, v in inputs.items()}})
         put, get = fmu.writer(list(inputs)), fmu.reader(outputs)
         rows = np.column_stack(list(inputs.values())).tolist() if inputs else [[]] * time.size
-        found[0] = get()
+        results[0] = get()
         for i in range(1, time.size):
             put(rows[i - 1 if moving else i])
             fmu.step(float(time[i - 1]), float(time[i] - time[i - 1]))
-            found[i] = get()
+            results[i] = get()
             progress(1)
-    return dict(zip(outputs, found.T, strict=True))
+    return dict(zip(outputs, results.T, strict=True))
 
 
 def simulate_fmu(
@@ -365,11 +367,11 @@ def read_motion(path: str | os.PathLike[str], units: Mapping[str, str]) -> tuple
     """
     columns = {name: RECORDED.get(name, name) for name in (*units, *RECORDED) if RECORDED.get(name, name) in units}
     rows = [row for _, row in edge.number_rows(path, {"time": "s"}, {n: units[v] for n, v in columns.items()})]
-    found = {name: np.array([row[name] for row in rows]) for name in (rows[0] if rows else ("time",))}
-    time = found.pop("time")
+    series = {name: np.array([row[name] for row in rows]) for name in (rows[0] if rows else ("time",))}
+    time = series.pop("time")
     if time.size < 2 or np.any(np.diff(time) <= 0.0):
         raise edge.InputError(f"{path}: time [s] must ascend over at least two lines.")
-    return time, {columns[n]: v for n, v in found.items()}
+    return time, {columns[n]: v for n, v in series.items()}
 
 
 def write_motion(path: str | os.PathLike[str], results: Mapping[str, Array], fmu: str | os.PathLike[str]) -> None:
@@ -417,7 +419,7 @@ def read_inputs(path: str | os.PathLike[str], fmu: str | os.PathLike[str]) -> tu
 
 
 def compare(
-    one: str | os.PathLike[str],
+    path: str | os.PathLike[str],
     other: str | os.PathLike[str],
     motion: str | os.PathLike[str],
     progress: Callable[[int], None] = lambda done: None,
@@ -426,7 +428,7 @@ def compare(
 
     Parameters
     ----------
-    one
+    path
         An FMU.
     other
         Another FMU; or a recorded or simulated table (CSV), which is `motion` itself.
@@ -443,22 +445,22 @@ def compare(
     edge.InputError
         If the two have different inputs or no output in common.
     """
-    inputs, outputs = units_of(one, "input"), units_of(one, "output")
+    inputs, outputs = units_of(path, "input"), units_of(path, "output")
     if Path(other).suffix != ".fmu":
-        time, given = read_inputs(motion, one)
+        time, given = read_inputs(motion, path)
         _, recorded = read_motion(other, outputs)
         shared = [n for n in outputs if n in recorded]
         if not shared:
-            raise edge.InputError(f"{other}: it has no column of an output of {Path(one).name}, such as output_angle.")
-        found = simulate(one, given, shared, time, progress=progress)
-        return time, {n: (found[n], recorded[n]) for n in shared}
+            raise edge.InputError(f"{other}: it has no column of an output of {Path(path).name}, such as output_angle.")
+        simulated = simulate(path, given, shared, time, progress=progress)
+        return time, {n: (simulated[n], recorded[n]) for n in shared}
     others = units_of(other, "input")
     for name in (*inputs, *others):
         if name not in inputs or name not in others:
-            has, lacks = (one, other) if name in inputs else (other, one)
+            has, lacks = (path, other) if name in inputs else (other, path)
             raise edge.InputError(f"{lacks}: it has no input {name}, which {has} has; interfaces must be equal.")
     theirs = units_of(other, "output")
     shared = [n for n in outputs if n in theirs]
-    time, given = read_inputs(motion, one)
-    found, second = (simulate(path, given, shared, time, progress=progress) for path in (one, other))
-    return time, {n: (found[n], second[n]) for n in shared}
+    time, given = read_inputs(motion, path)
+    simulated, second = (simulate(file, given, shared, time, progress=progress) for file in (path, other))
+    return time, {n: (simulated[n], second[n]) for n in shared}

@@ -30,8 +30,8 @@ DESCRIPTION = "Cycloid-pin gear drive: transmission error, backlash and load sha
 
 def keep_alive(slave: DriveSlave) -> None:
     """Keep the slave alive after an exception, because both libraries then release its references twice."""
-    for kept in (slave, type(slave), slave.log_queue):
-        ctypes.pythonapi.Py_IncRef(ctypes.py_object(kept))
+    for referent in (slave, type(slave), slave.log_queue):
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(referent))
 
 
 def kept_alive(method: _Method) -> _Method:
@@ -115,17 +115,17 @@ class DriveSlave:
     def _described(self, root: Element) -> Element:
         """Replace the parts of a library's model description that come from the table of variables."""
         table = self.core.table
-        for tag, made in (("ModelVariables", model_variables), ("ModelStructure", model_structure)):
+        for tag, element_of in (("ModelVariables", model_variables), ("ModelStructure", model_structure)):
             old = root.find(tag)
             assert old is not None
-            root[list(root).index(old)] = made(tuple(table.values()), self.fmi_version, tuple(table))
+            root[list(root).index(old)] = element_of(tuple(table.values()), self.fmi_version, tuple(table))
         root.set("generationTool", f"cycloid-fmu {__version__}")
         # The library's token depends on the machine's address and the time; the same drive must give the same bytes.
         del root.attrib["generationDateAndTime"]
         token = token_of(f"{__version__} FMI {self.fmi_version} {self.core.state()['drive']}")
         root.set("guid" if self.fmi_version == "2.0" else "instantiationToken", token)
-        place = next(i for i, node in enumerate(root) if node.tag == "CoSimulation")
-        root.insert(place + 1, unit_definitions(tuple(table.values())))
+        position = next(i for i, node in enumerate(root) if node.tag == "CoSimulation")
+        root.insert(position + 1, unit_definitions(tuple(table.values())))
         return root
 
 
@@ -140,7 +140,7 @@ class DriveSlave2(DriveSlave, Fmi2Slave):  # type: ignore[misc]
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
         self._open(self.resources, "linux64/pythonfmu-export.so")
-        self.description = f"{DESCRIPTION}; {self.core.told}"
+        self.description = f"{DESCRIPTION}; {self.core.summary}"
         step = self.core.interface.step
         self.default_experiment = DefaultExperiment(start_time=0.0, stop_time=1.0, step_size=step)
 

@@ -23,7 +23,7 @@ class DriveSlave3(DriveSlave, Fmi3Slave):  # type: ignore[misc]
         super().__init__(**kwargs)
         self.author, self.license, self.version = "cycloid-fmu", "MIT", __version__
         self._open(self.resources, "x86_64-linux/CycloidDrive.so")
-        self.description = f"{DESCRIPTION}; {self.core.told}"
+        self.description = f"{DESCRIPTION}; {self.core.summary}"
         step = self.core.interface.step
         self.default_experiment = DefaultExperiment(start_time=0.0, stop_time=1.0, step_size=step)
 
@@ -54,10 +54,10 @@ class DriveSlave3(DriveSlave, Fmi3Slave):  # type: ignore[misc]
         return self._flat(vrs, "boolean")
 
     def _flat(self, vrs: Sequence[int], kind: str) -> list[Any]:
-        found: list[Any] = []
+        flat: list[Any] = []
         for value in self.core.values(vrs, kind):
-            found += value if isinstance(value, list) else (value,)
-        return found
+            flat += value if isinstance(value, list) else (value,)
+        return flat
 
     @kept_alive
     def set_float64(self, vrs: Sequence[int], values: Sequence[Any]) -> None:

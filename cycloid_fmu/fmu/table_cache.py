@@ -20,7 +20,7 @@ _MAKERS = (
     *("fmu/table_nodes.py", "fmu/tables.py"),
 )
 _MOST_BYTES = 400_000_000  # of all tables in the cache
-_SIDE = ("load", "deviation", "compliance", "told_load", "contact_count", "pressure")
+_SIDE = ("load", "deviation", "compliance", "pressure_load", "contact_count", "pressure")
 _SCALARS = ("ratio", "period", "allowed", "largest_error")
 
 
@@ -46,13 +46,13 @@ def _makers() -> str:
     return edge.hash_of_code(_PACKAGE / name for name in _MAKERS)
 
 
-def _written(made: Tables) -> bytes:
-    arrays: dict[str, Any] = {name: getattr(made, name) for name in _SCALARS}
-    arrays["rest_torque"] = made.rest_torque
-    if made.errors is not None:
-        e = made.errors
+def _written(drive_tables: Tables) -> bytes:
+    arrays: dict[str, Any] = {name: getattr(drive_tables, name) for name in _SCALARS}
+    arrays["rest_torque"] = drive_tables.rest_torque
+    if drive_tables.errors is not None:
+        e = drive_tables.errors
         arrays["errors"] = [*e.stiffness, *e.pressure, e.speed, *e.crank_torque]
-    for name, side in (("positive", made.positive), ("negative", made.negative)):
+    for name, side in (("positive", drive_tables.positive), ("negative", drive_tables.negative)):
         arrays[f"{name}_far"] = np.array(side.far[1:])
         arrays[f"{name}_far_load"] = side.far[0]
         for field in _SIDE:

@@ -154,7 +154,7 @@ def table_body(
     """
     sides = (tables.positive, tables.negative)
     rest = tables.rest_torque if tables.rest_torque.any() else np.empty(0)
-    counts = [count for s in sides for count in (s.load.size + 1, s.told_load.size)]
+    counts = [count for s in sides for count in (s.load.size + 1, s.pressure_load.size)]
     body = _head(interface, variables, (tables.ratio, tables.period, tables.allowed), first_stage)
     body += struct.pack("<7I", tables.rest_torque.size, tables.positive.pressure.shape[1], rest.size, *counts)
     body += padding(body)
@@ -163,7 +163,7 @@ def table_body(
         steps = [np.append(s, s[-1]) for s in side.steps[:2]]
         deviation = np.vstack([side.deviation, far_deviation])
         base = np.round(0.5 * (deviation.min(axis=1) + deviation.max(axis=1)) / steps[0]) * steps[0]
-        for numbers in (np.append(side.load, far), side.told_load, base, *steps, side.steps[2]):
+        for numbers in (np.append(side.load, far), side.pressure_load, base, *steps, side.steps[2]):
             body += numbers.astype("<f8").tobytes()
         whole = np.round((deviation - base[:, None]) / steps[0][:, None])
         if not np.abs(whole).max() < 32768.0:

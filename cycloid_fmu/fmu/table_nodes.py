@@ -63,12 +63,12 @@ def at_rest(drive: DriveValue, angles: Array, workers: int = 1) -> Rest:
     rest = Rest(free.play_low, free.play_high, np.isnan(free.play_low), *np.zeros((5, angles.size)))
     here = np.flatnonzero(rest.pressed)
     if here.size:
-        one = solve(drive, [0.0], angles[here], slices, with_play=False, workers=workers)
+        swept = solve(drive, [0.0], angles[here], slices, with_play=False, workers=workers)
         problem, crank_torque = rigid_problem(drive, slices), np.empty(here.size)
-        contact.sweep_crank_side(problem, angles[here], one.transmission_error[0], crank_torque, np.empty(here.size))
+        contact.sweep_crank_side(problem, angles[here], swept.transmission_error[0], crank_torque, np.empty(here.size))
         rest.crank_torque[here] = crank_torque
-        rest.deviation[here], rest.stiffness[here] = one.transmission_error[0], one.torsional_stiffness[0]
-        rest.pressure[here], rest.contact_count[here] = one.max_contact_pressure[0], one.contact_count[0]
+        rest.deviation[here], rest.stiffness[here] = swept.transmission_error[0], swept.torsional_stiffness[0]
+        rest.pressure[here], rest.contact_count[here] = swept.max_contact_pressure[0], swept.contact_count[0]
     return rest
 
 
@@ -84,8 +84,8 @@ def solved(
 ) -> Solved:
     """Solve the model at every load and crank angle; other arguments are those of `solved_at`."""
     load, angle = np.divmod(np.arange(loads.size * angles.size), angles.size)
-    found = solved_at(drive, direction, loads, angles, load, angle, rest, workers, progress, following)
-    return Solved(*(channel.reshape(loads.size, angles.size) for channel in found))
+    channels = solved_at(drive, direction, loads, angles, load, angle, rest, workers, progress, following)
+    return Solved(*(channel.reshape(loads.size, angles.size) for channel in channels))
 
 
 def solved_at(
@@ -111,10 +111,10 @@ def solved_at(
     """
     # Wide as it takes places of a grid, and how the model is solved at them.
     pair = drive.pair
-    at = loads.copy()
+    node_loads = loads.copy()
     if loads[0] == 0.0:
         # On bearings the tangent at the first load ends at the play.
-        at[0] = (_FIRST_SLOPE if pair.supports is None else 1.0) * (following or loads[1])
+        node_loads[0] = (_FIRST_SLOPE if pair.supports is None else 1.0) * (following or loads[1])
     if pair.supports is None:
         # All loads of a crank angle one after another, up and down in turn: such neighbours are 1.8 times as fast.
         order = np.lexsort((np.where(angle % 2 == 0, load, -load), angle))
@@ -122,33 +122,33 @@ def solved_at(
         order = np.arange(load.size)
     slices = drive.slices
     # Far finer than the tables' error; a drive whose pins and teeth all differ takes a gigabyte otherwise.
-    found = Solved(*np.empty((len(Solved._fields), load.size), dtype=np.float32))
+    nodes = Solved(*np.empty((len(Solved._fields), load.size), dtype=np.float32))
     for first in range(0, order.size, _AT_ONCE):
         some = order[first : first + _AT_ONCE]
-        one = solve(
+        swept = solve(
             drive,
-            direction * at[load[some]][None],
+            direction * node_loads[load[some]][None],
             angles[angle[some]],
             slices,
             with_play=False,
             workers=workers,
             progress=progress,
         )
-        found.deviation[some] = direction * one.transmission_error[0]
-        found.compliance[some] = 1.0 / one.torsional_stiffness[0]
-        found.pressure[some] = np.square(one.max_contact_pressure[0])
-        found.contact_count[some] = np.minimum(one.contact_count[0], 255)
+        nodes.deviation[some] = direction * swept.transmission_error[0]
+        nodes.compliance[some] = 1.0 / swept.torsional_stiffness[0]
+        nodes.pressure[some] = np.square(swept.max_contact_pressure[0])
+        nodes.contact_count[some] = np.minimum(swept.contact_count[0], 255)
     if loads[0] == 0.0:
         assert rest is not None
         none = np.flatnonzero(load == 0)
         here = angle[none]
         pressed = rest.pressed[here]
-        found.deviation[none] = direction * np.where(
+        nodes.deviation[none] = direction * np.where(
             pressed, rest.deviation[here], (rest.high if direction > 0.0 else rest.low)[here]
         )
-        found.compliance[none[pressed]] = 1.0 / rest.stiffness[here[pressed]]
-        found.pressure[none], found.contact_count[none] = np.square(rest.pressure[here]), rest.contact_count[here]
-    return found
+        nodes.compliance[none[pressed]] = 1.0 / rest.stiffness[here[pressed]]
+        nodes.pressure[none], nodes.contact_count[none] = np.square(rest.pressure[here]), rest.contact_count[here]
+    return nodes
 
 
 def midway(values: Array32) -> tuple[Array32, Array32]:
@@ -162,16 +162,16 @@ def midway(values: Array32) -> tuple[Array32, Array32]:
     v = {k: np.roll(values, -k) for k in range(-2, 4)}
     fourth = np.abs(6.0 * v[0] - 4.0 * (v[-1] + v[1]) + v[-2] + v[2])
     pair = np.maximum(fourth, np.roll(fourth, -1))
-    left, right = np.roll(pair, 2), np.roll(pair, -2)
+    error_before, error_after = np.roll(pair, 2), np.roll(pair, -2)
     off = np.minimum(pair, np.minimum(np.roll(pair, 1), np.roll(pair, -1)))
     # The error of a cubic through one value on one side and three on the other is 1.7 times as large.
-    beside = np.minimum(left, right)
-    aside, to_left = beside < _ASIDE * off, left < right
-    near, next_to = np.where(to_left, v[1], v[0]), np.where(to_left, v[0], v[1])
-    beyond, last = np.where(to_left, v[-1], v[2]), np.where(to_left, v[-2], v[3])
-    found = np.where(
+    one_sided_error = np.minimum(error_before, error_after)
+    aside, before = one_sided_error < _ASIDE * off, error_before < error_after
+    near, next_to = np.where(before, v[1], v[0]), np.where(before, v[0], v[1])
+    beyond, last = np.where(before, v[-1], v[2]), np.where(before, v[-2], v[3])
+    values_between = np.where(
         aside,
         (5.0 * near + 15.0 * next_to - 5.0 * beyond + last) / 16.0,
         (9.0 * (v[0] + v[1]) - v[-1] - v[2]) / 16.0,
     )
-    return found, np.where(aside, 1.7 * beside, off)
+    return values_between, np.where(aside, 1.7 * one_sided_error, off)

@@ -46,7 +46,7 @@ RANGE_SHARE = 1e-3  # of the transmission error's range over the crank angle, wh
 STIFFNESS_SHARE = 0.02  # allowed relative error of the stiffness in `MOST_STATES`
 SPEED_SHARE = 0.2  # allowed rms error of the output speed's ripple, of its own rms
 MOST_STATES = 0.95
-TOLD_FROM = 0.01  # of the largest torque: above it these hold and are stated
+STATED_FROM = 0.01  # of the largest torque: above it these hold and are stated
 _MOST_VALUES = 7_000_000  # deviations and compliances up to which stiffness and speed are refined: 14 MB
 _SAMPLES = (16, 128, 1024)  # crank angles per mesh pitch: fewest, most of any drive, most of a drive of few pitches
 _MOST_ANGLES = 200_000  # in total, with more than 128 per mesh pitch
@@ -81,10 +81,10 @@ class Side:
     deviation, compliance
         Spline coefficients over the crank angle of the deviation times the direction (rad) and of its derivative
         with respect to the load (rad/(N·m)), shape (loads, angles).
-    told_load
-        Some of the loads, from the first to the last, shape (told loads,), N·m.
+    pressure_load
+        Some of the loads, from the first to the last, shape (loads of the pressure,), N·m.
     contact_count
-        Pins in contact at these loads and at some of the crank angles, shape (told loads, told angles).
+        Pins in contact at these loads and at some of the crank angles, shape (loads, angles of the pressure).
     pressure
         Spline coefficients of the square of the largest contact pressure, at the same points and of the same shape,
         Pa²; the square is nearly linear in the load.
@@ -98,7 +98,7 @@ class Side:
     load: Array
     deviation: Array
     compliance: Array
-    told_load: Array
+    pressure_load: Array
     contact_count: NDArray[np.uint8]
     pressure: Array
     steps: tuple[Array, Array, Array]
@@ -181,7 +181,7 @@ class Tables:
     errors: Errors | None = None
 
     @property
-    def told(self) -> str:
+    def accuracy(self) -> str:
         """Accuracy of the tables, for an FMU's description."""
         largest, reach = self.largest_error * 648000 / math.pi, self.positive.load[-1]
         text = f"from tables up to {reach:.4g} N.m with errors of at most {largest:.3f} arcsec"
@@ -189,7 +189,7 @@ class Tables:
             return text
         stiffness, pressure, crank = self.errors.stiffness, self.errors.pressure, self.errors.crank_torque
         text += (
-            f"; above {TOLD_FROM * reach:.2g} N.m errors of the stiffness of at most {100 * stiffness[0]:.2g} % in "
+            f"; above {STATED_FROM * reach:.2g} N.m errors of the stiffness of at most {100 * stiffness[0]:.2g} % in "
             f"{100 * MOST_STATES:.0f} of 100 states and {100 * stiffness[1]:.2g} % in all, of the pressure of "
             f"{100 * pressure[0]:.2g} % and {100 * pressure[1]:.2g} %"
         )
@@ -262,19 +262,19 @@ def _chosen_loads(
     pair = drive.pair
 
     def solve_at(loads: Sequence[float], following: float | None = None) -> None:
-        one = table_nodes.solved(drive, direction, np.array(loads), angles, rest, following=following)
-        known.update(zip(loads, zip(one.deviation, one.compliance, strict=True), strict=True))
+        nodes = table_nodes.solved(drive, direction, np.array(loads), angles, rest, following=following)
+        known.update(zip(loads, zip(nodes.deviation, nodes.compliance, strict=True), strict=True))
 
     def halved(cells: list[tuple[float, float]]) -> list[tuple[float, float, float, float]]:
         """Return the error in the middle of each cell, negative so that the largest is the first, and the cell."""
         middles = [_middle(low, high) for low, high in cells]
         solve_at(middles)
-        found = []
+        halves = []
         for (low, high), middle in zip(cells, middles, strict=True):
             ends = [np.stack(both) for both in zip(known[low], known[high], strict=True)]
             guess = _hermite((middle - low) / (high - low), high - low, *ends)
-            found.append((-float(np.abs(guess - known[middle][0]).max()), low, middle, high))
-        return found
+            halves.append((-float(np.abs(guess - known[middle][0]).max()), low, middle, high))
+        return halves
 
     loads = [0.0, 0.01 * largest, 0.1 * largest, largest]
     if pair.supports is not None:
@@ -293,10 +293,10 @@ def _chosen_loads(
     return np.array(sorted(loads))
 
 
-def _with_loads(kept: Solved, kept_loads: Array, solved: Solved, loads: Array) -> Solved:
+def _with_loads(nodes: Solved, node_loads: Array, solved: Solved, loads: Array) -> Solved:
     """Insert loads."""
-    order = np.argsort(np.append(kept_loads, loads))
-    return Solved(*(np.concatenate(both)[order] for both in zip(kept, solved, strict=True)))
+    order = np.argsort(np.append(node_loads, loads))
+    return Solved(*(np.concatenate(both)[order] for both in zip(nodes, solved, strict=True)))
 
 
 def _coefficients(values: Array | Array32) -> Array:
@@ -460,8 +460,8 @@ class _Grid:
         self.rest = table_nodes.at_rest(self.drive, self.angles, self.workers)
         self.exact = [self._solved(d, n) for d, n in zip(_DIRECTIONS, self.loads, strict=True)]
         self.far = [
-            _far(self.drive, d, n[-1], self.angles, one, self.workers)
-            for d, n, one in zip(_DIRECTIONS, self.loads, self.exact, strict=True)
+            _far(self.drive, d, n[-1], self.angles, nodes, self.workers)
+            for d, n, nodes in zip(_DIRECTIONS, self.loads, self.exact, strict=True)
         ]
 
     @property
@@ -487,12 +487,12 @@ class _Grid:
     def _equidistant(self) -> Array:
         return self.spacing * np.arange(self.pitches * self.samples, dtype=float)
 
-    def _between(self, coarse: Solved, direction: float, at: Array) -> Solved:
+    def _between(self, coarse: Solved, direction: float, loads: Array) -> Solved:
         """Insert the crank angles midway, solved where interpolation between neighbours is not accurate enough."""
-        found = [np.empty_like(channel) for channel in coarse[:2]]
-        needed = np.empty(found[0].shape, dtype=bool)
-        for k in range(at.size):  # a row at a time stays in the processor's cache
-            (found[0][k], off), (found[1][k], bent) = (table_nodes.midway(channel[k]) for channel in coarse[:2])
+        inserted = [np.empty_like(channel) for channel in coarse[:2]]
+        needed = np.empty(inserted[0].shape, dtype=bool)
+        for k in range(loads.size):  # a row at a time stays in the processor's cache
+            (inserted[0][k], off), (inserted[1][k], bent) = (table_nodes.midway(channel[k]) for channel in coarse[:2])
             needed[k] = (off > _MIDWAY * self.allowed) | (bent > _MIDWAY_COMPLIANCE * coarse.compliance[k])
         load, angle = np.nonzero(needed)
         if load.size:
@@ -500,23 +500,23 @@ class _Grid:
         step = self.angles.size // (2 * coarse.deviation.shape[1])
         middles = self.angles[step :: 2 * step]
         here = Rest._make(channel[step :: 2 * step] for channel in self.rest)
-        solver = functools.partial(table_nodes.solved_at, self.drive, direction, at, middles)
-        one = solver(load, angle, here, self.workers, self.progress)
-        found[0][needed], found[1][needed] = one.deviation, one.compliance
-        finer = [np.stack(both, axis=-1).reshape(at.size, -1) for both in zip(coarse[:2], found, strict=True)]
+        solver = functools.partial(table_nodes.solved_at, self.drive, direction, loads, middles)
+        nodes = solver(load, angle, here, self.workers, self.progress)
+        inserted[0][needed], inserted[1][needed] = nodes.deviation, nodes.compliance
+        finer = [np.stack(both, axis=-1).reshape(loads.size, -1) for both in zip(coarse[:2], inserted, strict=True)]
         return coarse._replace(deviation=finer[0], compliance=finer[1])
 
-    def _solved(self, direction: float, at: Array) -> Solved:
+    def _solved(self, direction: float, loads: Array) -> Solved:
         """Solve loads at the fewest crank angles, and between them."""
         fewest = self.pitches * _SAMPLES[0]
-        self.total(fewest * at.size)
+        self.total(fewest * loads.size)
         step = self.angles.size // fewest
         here = Rest._make(channel[::step] for channel in self.rest)
-        solver = functools.partial(table_nodes.solved, self.drive, direction, at)
-        one = solver(self.angles[::step], here, self.workers, self.progress)
-        while one.deviation.shape[1] < self.angles.size:
-            one = self._between(one, direction, at)
-        return one
+        solver = functools.partial(table_nodes.solved, self.drive, direction, loads)
+        nodes = solver(self.angles[::step], here, self.workers, self.progress)
+        while nodes.deviation.shape[1] < self.angles.size:
+            nodes = self._between(nodes, direction, loads)
+        return nodes
 
     def add_angles(self) -> None:
         """Insert the crank angles midway."""
@@ -532,18 +532,18 @@ class _Grid:
     def add_loads(self, further: Sequence[Array]) -> None:
         """Insert loads of both directions."""
         for k, (direction, new) in enumerate(zip(_DIRECTIONS, further, strict=True)):
-            at = self.loads[k]
+            loads = self.loads[k]
             # The slope at zero load is taken towards the first load: with a new first load it is solved again.
-            again = int(new.size > 0 and new[0] < at[1])
-            more = np.append(at[:again], new)
+            again = int(new.size > 0 and new[0] < loads[1])
+            more = np.append(loads[:again], new)
             if more.size:
-                kept = Solved(*(channel[again:] for channel in self.exact[k]))
-                self.exact[k] = _with_loads(kept, at[again:], self._solved(direction, more), more)
-                self.loads[k] = np.union1d(at, more)
+                present = Solved(*(channel[again:] for channel in self.exact[k]))
+                self.exact[k] = _with_loads(present, loads[again:], self._solved(direction, more), more)
+                self.loads[k] = np.union1d(loads, more)
 
     def tables(self) -> Tables:
         """Return the tables through these nodes."""
-        spread = max(float(np.ptp(one.deviation, axis=1).max()) for one in self.exact)
+        spread = max(float(np.ptp(nodes.deviation, axis=1).max()) for nodes in self.exact)
         step = max(self.allowed / _STEPS, 1.2 * spread / _MOST_STEPS)
         with ThreadPoolExecutor(min(self.workers, len(_DIRECTIONS))) as pool:
             positive, negative = pool.map(functools.partial(_side, step=step), self.loads, self.exact, self.far)
@@ -565,11 +565,11 @@ def _refined(grid: _Grid, largest: float, looser: float) -> Tables:
     """
     drive, workers, allowed = grid.drive, grid.workers, grid.allowed
 
-    def random_places(seed: int) -> _Probed:
-        return _probed(drive, *_places(grid.period, largest, PROBES, seed), workers)
+    def random_probes(seed: int) -> _Probed:
+        return _probed(drive, *_random_states(grid.period, largest, PROBES, seed), workers)
 
     drawn = 1
-    chosen = random_places(drawn)
+    chosen = random_probes(drawn)
     tables = grid.tables()
     probed = _around_the_worst(tables, drive, chosen, grid.spacing, drawn, workers)
     while True:
@@ -589,18 +589,18 @@ def _refined(grid: _Grid, largest: float, looser: float) -> Tables:
         else:
             # Compared at places that refined nothing; where these have larger errors, they are used for refinement too.
             drawn += 1
-            fresh = random_places(drawn)
+            fresh = random_probes(drawn)
             near = _around_the_worst(tables, drive, fresh, grid.spacing, drawn, workers)
             probed = _together(probed, near)
             if coarse or np.abs(_off(tables, near)).max() <= allowed:
                 break
             continue
         tables = grid.tables()
-    found = interpolated(tables, fresh.crank_angle, fresh.torque)
+    states = interpolated(tables, fresh.crank_angle, fresh.torque)
     return dataclasses.replace(
         tables,
         largest_error=float(np.abs(_off(tables, probed)).max()),
-        errors=errors_of(tables, found, fresh.exact, fresh.torque),
+        errors=errors_of(tables, states, fresh.exact, fresh.torque),
     )
 
 
@@ -624,27 +624,27 @@ def _missing_loads(
     If exact nodes at the probe's own crank angle have half of the error, the cell of the load is the cause.
     """
     worst = np.argsort(-np.abs(off))[: min(int(np.sum(np.abs(off) > allowed)), _WORST)]
-    theta, torque = probed.crank_angle[worst], probed.torque[worst]
-    found, _ = _between_loads(drive, loads, theta, torque)
-    by_load = np.abs(found - probed.exact.deviation[worst]) > 0.5 * np.abs(off[worst])
+    crank_angle, torque = probed.crank_angle[worst], probed.torque[worst]
+    deviation, _ = _between_loads(drive, loads, crank_angle, torque)
+    by_load = np.abs(deviation - probed.exact.deviation[worst]) > 0.5 * np.abs(off[worst])
     further = []
-    for at, direction in zip(loads, _DIRECTIONS, strict=True):
-        cells, _, _ = _cells(at, np.abs(torque[by_load & (torque * direction > 0.0)]))
-        further.append(np.array([_middle(*map(float, at[j : j + 2])) for j in np.unique(cells)]))
+    for side_loads, direction in zip(loads, _DIRECTIONS, strict=True):
+        cells, _, _ = _cells(side_loads, np.abs(torque[by_load & (torque * direction > 0.0)]))
+        further.append(np.array([_middle(*map(float, side_loads[j : j + 2])) for j in np.unique(cells)]))
     return further, bool(2 * by_load.sum() < worst.size)
 
 
-def _between_loads(drive: DriveValue, loads: Sequence[Array], theta: Array, torque: Array) -> tuple[Array, Array]:
+def _between_loads(drive: DriveValue, loads: Sequence[Array], crank_angle: Array, torque: Array) -> tuple[Array, Array]:
     """Interpolate deviation and stiffness between exact nodes of the loads at the very crank angles."""
-    deviation, stiffness = np.empty((2, theta.size))
-    for at, direction in zip(loads, _DIRECTIONS, strict=True):
+    deviation, stiffness = np.empty((2, crank_angle.size))
+    for side_loads, direction in zip(loads, _DIRECTIONS, strict=True):
         side = np.flatnonzero(torque * direction > 0.0)
-        side = side[np.argsort(theta[side])]
-        cells, shares, widths = _cells(at, np.abs(torque[side]))
+        side = side[np.argsort(crank_angle[side])]
+        cells, shares, widths = _cells(side_loads, np.abs(torque[side]))
         for j in np.unique(cells):
             here = side[cells == j]
-            rest = table_nodes.at_rest(drive, theta[here]) if j == 0 else None
-            ends = table_nodes.solved(drive, direction, at[j : j + 2], theta[here], rest)
+            rest = table_nodes.at_rest(drive, crank_angle[here]) if j == 0 else None
+            ends = table_nodes.solved(drive, direction, side_loads[j : j + 2], crank_angle[here], rest)
             u, h = shares[cells == j], widths[cells == j]
             deviation[here] = direction * _hermite(u, h, ends.deviation, ends.compliance)
             stiffness[here] = 1.0 / _slope(u, h, ends.deviation, ends.compliance)
@@ -662,14 +662,14 @@ def _missing_elsewhere(
     pair = drive.pair
     if pair.supports is not None:
         return [np.empty(0) for _ in _DIRECTIONS], False
-    theta, torque, e = probed
-    f = interpolated(tables, theta, torque)
-    told = np.abs(torque) >= TOLD_FROM * tables.positive.load[-1]
+    crank_angle, torque, e = probed
+    f = interpolated(tables, crank_angle, torque)
+    stated = np.abs(torque) >= STATED_FROM * tables.positive.load[-1]
     allowed = looser * STIFFNESS_SHARE
-    stiff = told & (np.abs(f.stiffness / e.stiffness - 1.0) > allowed)
-    most = looser * SPEED_SHARE * np.sqrt(np.mean(np.square(e.rate[told])))
-    speed = np.where(told & np.isfinite(e.rate), np.square((f.rate - e.rate) / most), 0.0)
-    too_stiff, too_fast = stiff.sum() > (1.0 - MOST_STATES) * told.sum(), speed.sum() > told.sum()
+    stiff = stated & (np.abs(f.stiffness / e.stiffness - 1.0) > allowed)
+    most = looser * SPEED_SHARE * np.sqrt(np.mean(np.square(e.rate[stated])))
+    speed = np.where(stated & np.isfinite(e.rate), np.square((f.rate - e.rate) / most), 0.0)
+    too_stiff, too_fast = stiff.sum() > (1.0 - MOST_STATES) * stated.sum(), speed.sum() > stated.sum()
     blame = too_stiff * stiff / (1.0 - MOST_STATES) + too_fast * speed
     cells: list[tuple[float, int, float]] = []
     sides = (tables.positive, tables.negative)
@@ -680,11 +680,11 @@ def _missing_elsewhere(
         cells += [(float(shares[i]), k, _middle(*side.load[i : i + 2])) for i in np.flatnonzero(shares)]
     cells.sort(reverse=True)
     until = np.searchsorted(np.cumsum([share for share, _, _ in cells]), _BLAMED * blame.sum(), "right") + 1
-    kept = cells[: max(min(int(until), room), 0)]
-    further = [np.array(sorted(middle for _, side, middle in kept if side == k)) for k in range(len(_DIRECTIONS))]
+    chosen = cells[: max(min(int(until), room), 0)]
+    further = [np.array(sorted(middle for _, side, middle in chosen if side == k)) for k in range(len(_DIRECTIONS))]
     some = np.flatnonzero(stiff)[:: max(int(stiff.sum()) // _WORST, 1)] if too_stiff else np.empty(0, dtype=int)
-    _, found = _between_loads(drive, [side.load for side in sides], theta[some], torque[some])
-    by_load = np.abs(e.stiffness[some] / found - 1.0) > allowed
+    _, exact_stiffness = _between_loads(drive, [side.load for side in sides], crank_angle[some], torque[some])
+    by_load = np.abs(e.stiffness[some] / exact_stiffness - 1.0) > allowed
     return further, bool(2 * by_load.sum() < some.size)
 
 
@@ -696,27 +696,29 @@ def interpolated(tables: Tables, crank_angle: ArrayLike, torque: ArrayLike) -> S
     crank_angle, torque
         Of shape (places,), rad and N·m, the torque within the tables and other than 0.
     """
-    theta, signed = (np.asarray(v, dtype=float) for v in (crank_angle, torque))
+    angle, signed = (np.asarray(v, dtype=float) for v in (crank_angle, torque))
     angles = tables.rest_torque.size
-    near, weights, rates = _place(tables.period, angles, theta)
-    told, told_weights, _ = _place(tables.period, tables.positive.pressure.shape[1], theta)
-    found = States(*np.empty((len(States._fields), *theta.shape)))
-    found.deviation[...] = _deviation(tables, theta, signed)
+    near, weights, rates = _spline_weights(tables.period, angles, angle)
+    coarse, coarse_weights, _ = _spline_weights(tables.period, tables.positive.pressure.shape[1], angle)
+    states = States(*np.empty((len(States._fields), *angle.shape)))
+    states.deviation[...] = _deviation(tables, angle, signed)
     for side, direction in ((tables.positive, 1.0), (tables.negative, -1.0)):
         here = signed * direction > 0.0
         load, among, weight, by_angle = np.abs(signed[here]), near[:, here], weights[:, here], rates[:, here]
         j, u, h = _cells(side.load, load)
         x, c = _ends(side, j, weight, among)
-        found.stiffness[here] = 1.0 / np.maximum(_slope(u, h, x, c), LEAST_COMPLIANCE)
+        states.stiffness[here] = 1.0 / np.maximum(_slope(u, h, x, c), LEAST_COMPLIANCE)
         x, c = _ends(side, j, by_angle, among)
-        found.rate[here] = direction * _hermite(u, h, x, c)
+        states.rate[here] = direction * _hermite(u, h, x, c)
         energy_rate = _integral(u, h, x, c) + np.sum(by_angle * _energy(side)[j, among], axis=0)
         rest = np.sum(weight * tables.rest_torque[among], axis=0)
-        found.crank_torque[here] = rest - direction * load / tables.ratio - energy_rate
-        j, u, _ = _cells(side.told_load, load)
-        low, high = (np.sum(told_weights[:, here] * side.pressure[row, told[:, here]], axis=0) for row in (j, j + 1))
-        found.pressure[here] = np.sqrt(np.maximum((1.0 - u) * low + u * high, 0.0))
-    return found
+        states.crank_torque[here] = rest - direction * load / tables.ratio - energy_rate
+        j, u, _ = _cells(side.pressure_load, load)
+        low, high = (
+            np.sum(coarse_weights[:, here] * side.pressure[row, coarse[:, here]], axis=0) for row in (j, j + 1)
+        )
+        states.pressure[here] = np.sqrt(np.maximum((1.0 - u) * low + u * high, 0.0))
+    return states
 
 
 def _energy(side: Side) -> Array:
@@ -728,22 +730,22 @@ def _energy(side: Side) -> Array:
     return energy
 
 
-def _deviation(tables: Tables, theta: Array, torque: Array) -> Array:
+def _deviation(tables: Tables, crank_angle: Array, torque: Array) -> Array:
     """Interpolate the deviation as `interpolated` does."""
-    near, weights, _ = _place(tables.period, tables.rest_torque.size, theta)
-    found = np.empty_like(theta)
+    near, weights, _ = _spline_weights(tables.period, tables.rest_torque.size, crank_angle)
+    deviation = np.empty_like(crank_angle)
     for side, direction in zip((tables.positive, tables.negative), _DIRECTIONS, strict=True):
         here = torque * direction > 0.0
         j, u, h = _cells(side.load, np.abs(torque[here]))
-        found[here] = direction * _hermite(u, h, *_ends(side, j, weights[:, here], near[:, here]))
-    return found
+        deviation[here] = direction * _hermite(u, h, *_ends(side, j, weights[:, here], near[:, here]))
+    return deviation
 
 
-def _place(period: float, angles: int, theta: Array) -> tuple[NDArray[np.int64], Array, Array]:
+def _spline_weights(period: float, angles: int, crank_angle: Array) -> tuple[NDArray[np.int64], Array, Array]:
     """Nodes of crank angles, shape (4, places), and the weights there of a spline and of its derivative."""
-    at = theta / period % 1.0 * angles
-    first = np.minimum(at.astype(int), angles - 1)
-    s = at - first
+    position = crank_angle / period % 1.0 * angles
+    first = np.minimum(position.astype(int), angles - 1)
+    s = position - first
     weights = np.array([(1.0 - s) ** 3, 3.0 * s**3 - 6.0 * s**2 + 4.0, 1.0 + 3.0 * s + 3.0 * s**2 - 3.0 * s**3, s**3])
     rates = np.array([-((1.0 - s) ** 2), 3.0 * s**2 - 4.0 * s, 1.0 + 2.0 * s - 3.0 * s**2, s**2])
     return (first + np.arange(-1, 3)[:, None]) % angles, weights / 6.0, 0.5 * angles / period * rates
@@ -765,16 +767,16 @@ def _cells(loads: Array, load: Array) -> tuple[NDArray[np.int64], Array, Array]:
     return j, (load - loads[j]) / width, width
 
 
-def errors_of(tables: Tables, found: States, exact: States, torque: Array) -> Errors:
+def errors_of(tables: Tables, approximate: States, exact: States, torque: Array) -> Errors:
     """Return the errors of tables from their states and the exact ones at torques (N·m)."""
-    told = np.abs(torque) >= TOLD_FROM * tables.positive.load[-1]
-    f, e = (States(*(channel[told] for channel in states)) for states in (found, exact))
+    stated = np.abs(torque) >= STATED_FROM * tables.positive.load[-1]
+    f, e = (States(*(channel[stated] for channel in states)) for states in (approximate, exact))
 
     def share(channel: Array, of: Array) -> tuple[float, float]:
         off = np.abs(channel / of - 1.0)
         return float(np.quantile(off, MOST_STATES)), float(off.max())
 
-    crank = np.abs(f.crank_torque - e.crank_torque) / np.abs(torque[told] / tables.ratio)
+    crank = np.abs(f.crank_torque - e.crank_torque) / np.abs(torque[stated] / tables.ratio)
     return Errors(
         share(f.stiffness, e.stiffness),
         share(f.pressure, e.pressure),
@@ -796,7 +798,7 @@ class _Probed(NamedTuple):
     exact: States
 
 
-def _places(period: float, largest: float, probes: int, seed: int) -> tuple[Array, Array]:
+def _random_states(period: float, largest: float, probes: int, seed: int) -> tuple[Array, Array]:
     """Random crank angles, and torques evenly and evenly in the logarithm."""
     random = np.random.default_rng(seed)
     size = np.where(
@@ -810,15 +812,15 @@ def _around_the_worst(
     tables: Tables, drive: DriveValue, probed: _Probed, spacing: float, seed: int, workers: int
 ) -> _Probed:
     """Add places increasingly close to the largest errors, which are narrower than the distance between probes."""
-    random, found = np.random.default_rng(seed), probed
+    random, probes = np.random.default_rng(seed), probed
     largest = min(tables.positive.load[-1], tables.negative.load[-1])
     for reach in _REACHES:
-        worst = np.repeat(np.argsort(-np.abs(_off(tables, found)))[:_WORST], _NEIGHBOURS)
-        theta = found.crank_angle[worst] + reach * spacing * random.uniform(-1.0, 1.0, worst.size)
-        torque = found.torque[worst] * (1.0 + 0.1 * reach * random.uniform(-1.0, 1.0, worst.size))
-        near = _probed(drive, np.mod(theta, tables.period), np.clip(torque, -largest, largest), workers)
-        found = _together(found, near)
-    return found
+        worst = np.repeat(np.argsort(-np.abs(_off(tables, probes)))[:_WORST], _NEIGHBOURS)
+        crank_angle = probes.crank_angle[worst] + reach * spacing * random.uniform(-1.0, 1.0, worst.size)
+        torque = probes.torque[worst] * (1.0 + 0.1 * reach * random.uniform(-1.0, 1.0, worst.size))
+        near = _probed(drive, np.mod(crank_angle, tables.period), np.clip(torque, -largest, largest), workers)
+        probes = _together(probes, near)
+    return probes
 
 
 def _together(*parts: _Probed) -> _Probed:
@@ -827,7 +829,7 @@ def _together(*parts: _Probed) -> _Probed:
     return _Probed(np.concatenate(angles), np.concatenate(torques), exact)
 
 
-def _probed(drive: DriveValue, theta: Array, torque: Array, workers: int = 1) -> _Probed:
+def _probed(drive: DriveValue, crank_angle: Array, torque: Array, workers: int = 1) -> _Probed:
     pair = drive.pair
     slices = drive.slices
     if pair.supports is not None:
@@ -835,14 +837,16 @@ def _probed(drive: DriveValue, theta: Array, torque: Array, workers: int = 1) ->
         torque = np.copysign(np.maximum(np.abs(torque), play_loads(pair)[1]), torque)
     # A solution is found quickly from a neighbour's under a similar torque.
     rank = np.argsort(np.argsort(torque)) // _LIKE
-    order = np.lexsort((theta, rank))
-    theta, torque = theta[order], torque[order]
-    one = solve(drive, torque[None], theta, slices, with_play=False, workers=workers)
-    crank_torque, rate = np.full((2, theta.size), math.nan)
+    order = np.lexsort((crank_angle, rank))
+    crank_angle, torque = crank_angle[order], torque[order]
+    swept = solve(drive, torque[None], crank_angle, slices, with_play=False, workers=workers)
+    crank_torque, rate = np.full((2, crank_angle.size), math.nan)
     if pair.supports is None:
         problem = rigid_problem(drive, slices)
-        contact.sweep_crank_side(problem, theta, one.transmission_error[0], crank_torque, rate)
-    stiffness, pressure = one.torsional_stiffness[0], one.max_contact_pressure[0]
+        contact.sweep_crank_side(problem, crank_angle, swept.transmission_error[0], crank_torque, rate)
+    stiffness, pressure = swept.torsional_stiffness[0], swept.max_contact_pressure[0]
     return _Probed(
-        theta, torque, States(one.transmission_error[0], stiffness, rate - 1.0 / pair.ratio, crank_torque, pressure)
+        crank_angle,
+        torque,
+        States(swept.transmission_error[0], stiffness, rate - 1.0 / pair.ratio, crank_torque, pressure),
     )

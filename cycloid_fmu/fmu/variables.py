@@ -325,7 +325,7 @@ def _flanges(pair: Pair, interface: Interface) -> list[Variable]:
     inside, both = not dynamic or interface.output_inertia > 0.0, interface.crank_inertia > 0.0
     moved = dynamic and inside  # by internal inertias: all outputs depend on their state, not on inputs
 
-    def place(end: str, what: str, causality: Literal["input", "output"]) -> list[Variable]:
+    def motion(end: str, what: str, causality: Literal["input", "output"]) -> list[Variable]:
         start, nominal = 0.0 if causality == "input" else None, 100.0 if end == "a" else 1.0
         # The speed at the present torque is not the derivative of an angle that also depends on the torque.
         derived = None if end == "b" and not dynamic else f"flange_{end}.phi"
@@ -360,14 +360,14 @@ def _flanges(pair: Pair, interface: Interface) -> list[Variable]:
         ", mean over the last step" if hosted else ""
     )
     tau_a = f"torque required at the {driven}" + (", mean over the last step" if moved and not both else "")
-    taken = [torque("a", f"torque on the {driven}", "input")] if both else place("a", driven, "input")
-    taken += [torque("b", tau_b, "input")] if inside else place("b", "output", "input")
+    taken = [torque("a", f"torque on the {driven}", "input")] if both else motion("a", driven, "input")
+    taken += [torque("b", tau_b, "input")] if inside else motion("b", "output", "input")
     every = () if moved else tuple(v.name for v in taken if v.name != "flange_a.tau")
     taken += _arm(driven) if hosted else []
     placed = tuple(n for n in every if not n.endswith(".w"))
-    given = place("a", driven, "output") if both else []
+    given = motion("a", driven, "output") if both else []
     if inside:
-        angle, speed = place("b", "output", "output")
+        angle, speed = motion("b", "output", "output")
         given += [dataclasses.replace(angle, depends=placed), dataclasses.replace(speed, depends=every)]
     given += [] if both else [torque("a", tau_a, "output", depends=every)]
     given += [] if inside else [torque("b", tau_b, "output", depends=() if hosted else every)]
@@ -421,14 +421,14 @@ def _flanges(pair: Pair, interface: Interface) -> list[Variable]:
 
 def _parameters(drive: DriveValue, interface: Interface) -> list[Variable]:
     pair, surface = drive.pair, drive.surface
-    found = []
+    table = []
     for name in names_of(pair):
         kind, wave = kind_of(name), wave_of(name)
         assert kind is not None
         text = kind.description
         if wave is not None:
             text += f": {'cosine' if wave[2] == 'cos' else 'sine'} part of order {wave[1]}"
-        found.append(
+        table.append(
             Variable(
                 name,
                 text,
@@ -443,7 +443,7 @@ def _parameters(drive: DriveValue, interface: Interface) -> list[Variable]:
                 baked=True,
             )
         )
-    found += [
+    table += [
         Variable(
             "friction_torque",
             "Coulomb friction at the output",
@@ -466,7 +466,7 @@ def _parameters(drive: DriveValue, interface: Interface) -> list[Variable]:
             start=interface.series_compliance,
         ),
     ]
-    return found
+    return table
 
 
 # Long as it is a table of variables, in the order of their references.
@@ -481,7 +481,7 @@ def _further(interface: Interface) -> list[Variable]:
             *(("flange_b.tau",) if interface.kind == "kinematic" else ("flange_b.phi", "flange_b.w")),
         )
     )
-    found = [
+    table = [
         Variable("power_loss", "dissipated power", "output", unit="W", nominal=10.0, depends=moving, least=0.0),
         Variable(
             "backlash_on",
@@ -501,7 +501,7 @@ def _further(interface: Interface) -> list[Variable]:
     )
     for i, row in enumerate(interface.losses, start=1):
         for j, (value, (text, unit, display, least, most)) in enumerate(zip(row, columns, strict=True), start=1):
-            found.append(
+            table.append(
                 Variable(
                     f"loss_table[{i},{j}]",
                     f"losses, row {i}: {text}",
@@ -518,7 +518,7 @@ def _further(interface: Interface) -> list[Variable]:
     if interface.kind == "compliant":
         taken = ("flange_b.phi",) if interface.rotor_alone else ("flange_a.phi", "flange_b.phi")
         still = () if interface.output_inertia > 0.0 else taken
-        found += [
+        table += [
             Variable(
                 "elastic_energy",
                 "energy stored in contacts, series compliance and friction",
@@ -561,7 +561,7 @@ def _further(interface: Interface) -> list[Variable]:
             ),
         ]
         if interface.output_inertia > 0.0:
-            found.append(
+            table.append(
                 Variable(
                     "output_inertia",
                     "internal moment of inertia on the output",
@@ -574,7 +574,7 @@ def _further(interface: Interface) -> list[Variable]:
                 )
             )
         if interface.crank_inertia > 0.0:
-            found += [
+            table += [
                 Variable(
                     "crank_inertia",
                     f"internal moment of inertia on the {interface.driven}",
@@ -606,12 +606,12 @@ def _further(interface: Interface) -> list[Variable]:
                     start=0.0,
                 ),
             ]
-    return found
+    return table
 
 
-def _told(pair: Pair, placed: tuple[str, ...], ratio: float) -> list[Variable]:
+def _information(pair: Pair, placed: tuple[str, ...], ratio: float) -> list[Variable]:
     """Information for the surrounding model."""
-    found = [
+    table = [
         Variable(
             "outside_range",
             "whether a torque exceeds a native FMU's tables; accuracy is not stated there",
@@ -625,7 +625,7 @@ def _told(pair: Pair, placed: tuple[str, ...], ratio: float) -> list[Variable]:
         ),
     ]
     if pair.rated_torque is not None:
-        found.append(
+        table.append(
             Variable(
                 "rated_torque",
                 "rated torque at the output",
@@ -636,7 +636,7 @@ def _told(pair: Pair, placed: tuple[str, ...], ratio: float) -> list[Variable]:
                 baked=True,
             )
         )
-    return found
+    return table
 
 
 def _friction(interface: Interface) -> list[Variable]:
@@ -652,13 +652,13 @@ def _friction(interface: Interface) -> list[Variable]:
         "reference_temperature": "reference temperature of the friction",
     }
     displays = {"stribeck_speed": "rev/min", "load_share": "%", "presliding_angle": "arcsec"}
-    found = []
+    table = []
     for flange, law in zip(FLANGES, interface.laws, strict=True):
         for name, text in texts.items():
             if (flange == "output" and name == "coulomb") or ("temperature" in name and not interface.scaled):
                 continue
             unit, least, most, nominal = LIMITS[name]
-            found.append(
+            table.append(
                 Variable(
                     f"{flange}_friction.{name}",
                     f"at flange_{'ab'[flange == 'output']}: {text}",
@@ -674,11 +674,11 @@ def _friction(interface: Interface) -> list[Variable]:
             )
     lubricant = interface.lubricant
     if lubricant is not None:
-        found += _lubricant(lubricant)
+        table += _lubricant(lubricant)
     if interface.thermal is not None:
-        found += _heat_port(interface.thermal)
+        table += _heat_port(interface.thermal)
     elif interface.warms:
-        found.append(
+        table.append(
             Variable(
                 "temperature",
                 "temperature of the sliding parts" if lubricant is None else "temperature of the oil",
@@ -690,7 +690,7 @@ def _friction(interface: Interface) -> list[Variable]:
                 start=REFERENCE_TEMPERATURE if lubricant is None else lubricant.temperature,
             )
         )
-    return found
+    return table
 
 
 def _heat_port(thermal: Thermal) -> list[Variable]:
@@ -763,14 +763,14 @@ def _lubricant(lubricant: Lubricant) -> list[Variable]:
 def _with_support(table: Sequence[Variable], inside: bool) -> list[Variable]:
     """Add the housing's flange; variables that depend on the driven shaft's motion also depend on the housing's."""
     follows = {"flange_a.phi": "support.phi", "flange_a.w": "support.w"}
-    found = [
+    following = [
         dataclasses.replace(v, depends=(*v.depends, *(other for name, other in follows.items() if name in v.depends)))
         for v in table
     ]
     given = () if inside else (*(v.name for v in table if v.causality == "input"), *follows.values())
     text = "torque to hold the housing" + (", mean over the last step" if inside else "")
     return [
-        *found,
+        *following,
         Variable(
             "support.phi",
             "housing angle, counter-clockwise",
@@ -797,12 +797,12 @@ def _with_support(table: Sequence[Variable], inside: bool) -> list[Variable]:
 def _arrays(drive: DriveValue, placed: tuple[str, ...]) -> list[Variable]:
     pair, surface = drive.pair, drive.surface
     shape = (pair.discs, pair.pins)
-    found = [Variable("time", "time", "independent", unit="s")]
+    table = [Variable("time", "time", "independent", unit="s")]
     for name, text, unit, display, nominal in (
         ("pin_force", "force on each pin", "N", None, 100.0),
         ("pin_pressure", "largest contact pressure on each pin", "Pa", "MPa", 1e9),
     ):
-        found.append(
+        table.append(
             Variable(
                 name,
                 f"{text} (discs, pins)",
@@ -817,7 +817,7 @@ def _arrays(drive: DriveValue, placed: tuple[str, ...]) -> list[Variable]:
         )
     for kind in KINDS.values():
         if kind.of == "pin":
-            found.append(
+            table.append(
                 Variable(
                     kind.name,
                     kind.description,
@@ -833,7 +833,7 @@ def _arrays(drive: DriveValue, placed: tuple[str, ...]) -> list[Variable]:
                     baked=True,
                 )
             )
-    return found
+    return table
 
 
 def variables(
@@ -865,26 +865,26 @@ def variables(
         most=float(pair.pins * pair.discs),
         depends=shape,
     )
-    found = [*flanges, count, *_parameters(drive, interface), *_further(interface)]
-    found += [*_told(pair, shape, drive.ratio), *_friction(interface)]
+    table = [*flanges, count, *_parameters(drive, interface), *_further(interface)]
+    table += [*_information(pair, shape, drive.ratio), *_friction(interface)]
     if interface.support_flange:
-        found = _with_support(found, interface.output_inertia > 0.0)
+        table = _with_support(table, interface.output_inertia > 0.0)
     if interface.warms and interface.thermal is None:
         # Friction determines the output's position, on which all of these depend.
-        found = [
+        table = [
             dataclasses.replace(v, depends=(*v.depends, "temperature"))
             if v.depends and "temperature" not in v.depends
             else v
-            for v in found
+            for v in table
         ]
-    shape = next(v.depends for v in found if v.name == "transmission_error")
+    shape = next(v.depends for v in table if v.name == "transmission_error")
     if fmi_version == "3.0":
-        found += _arrays(drive, shape)
-    errors = tuple(v.name for v in found if v.causality == "parameter" and v.baked)
+        table += _arrays(drive, shape)
+    errors = tuple(v.name for v in table if v.causality == "parameter" and v.baked)
     begins = () if interface.thermal is None else ("temperature_start",)
     shaping = (*errors, "series_compliance", "backlash_on", *begins)
     rubbing = tuple(
-        v.name for v in found if v.name.startswith(("loss_table", "input_friction", "output_friction", "lubricant"))
+        v.name for v in table if v.name.startswith(("loss_table", "input_friction", "output_friction", "lubricant"))
     )
     lossy = (*shaping, *rubbing, "friction_torque")
     if interface.kind == "compliant":
@@ -900,7 +900,7 @@ def variables(
     }
     return tuple(
         dataclasses.replace(v, initially=initially.get(v.name, shaping)) if v.causality == "output" else v
-        for v in found
+        for v in table
     )
 
 
@@ -911,12 +911,12 @@ def from_tables(table: Sequence[Variable]) -> dict[int, Variable]:
     """
     constants = {v.name for v in table if v.baked}
 
-    def kept(v: Variable) -> Variable:
+    def native_variable(v: Variable) -> Variable:
         if v.name in constants:
             return dataclasses.replace(v, causality="local", variability="constant")
         return dataclasses.replace(v, initially=tuple(n for n in v.initially if n not in constants))
 
-    return {reference: kept(v) for reference, v in enumerate(table) if not v.dimensions}
+    return {reference: native_variable(v) for reference, v in enumerate(table) if not v.dimensions}
 
 
 def states(interface: Interface) -> tuple[str, ...]:
@@ -958,16 +958,18 @@ _INDICATORS = {
 
 
 # Long as it is a table of variables, in the order of their references.
-def exchanged(kept: dict[int, Variable], interface: Interface, version: Literal["2.0", "3.0"]) -> dict[int, Variable]:
+def exchanged(
+    by_reference: dict[int, Variable], interface: Interface, version: Literal["2.0", "3.0"]
+) -> dict[int, Variable]:
     """Return the variables of a native FMU, {value reference: variable}, with those of Model Exchange last.
 
     Parameters
     ----------
-    kept
+    by_reference
         Variables from `from_tables`.
     """
     if interface.support_flange:
-        return kept
+        return by_reference
     inside, dynamic = interface.output_inertia > 0.0, interface.kind == "compliant"
     moved = inside or interface.rotor_alone
     crank, output = _strains("input"), _strains("output")
@@ -975,8 +977,8 @@ def exchanged(kept: dict[int, Variable], interface: Interface, version: Literal[
     warm = heat or (("temperature",) if interface.warms else ())
     contact = ("flange_a.phi", "transmission_error" if inside else "flange_b.phi")
     moving = (*contact, "flange_a.w", "flange_b.w", *warm)
-    inputs = tuple(v.name for v in kept.values() if v.causality == "input")
-    parameters = tuple(v.name for v in kept.values() if v.causality == "parameter")
+    inputs = tuple(v.name for v in by_reference.values() if v.causality == "input")
+    parameters = tuple(v.name for v in by_reference.values() if v.causality == "parameter")
     of_start = (*inputs, *parameters) if moved else inputs
     more = []
 
@@ -1032,7 +1034,7 @@ def exchanged(kept: dict[int, Variable], interface: Interface, version: Literal[
     if not inside:
         depends["flange_b.tau"] = (*moving, *output)
     if not dynamic:  # friction determines the output's position
-        depends = {v.name: (*v.depends, *heat) for v in kept.values() if v.depends}
+        depends = {v.name: (*v.depends, *heat) for v in by_reference.values() if v.depends}
     depends |= dict.fromkeys(heat, heat)
     changed = {
         reference: dataclasses.replace(
@@ -1043,9 +1045,9 @@ def exchanged(kept: dict[int, Variable], interface: Interface, version: Literal[
         )
         if v.causality == "output"
         else v
-        for reference, v in kept.items()
+        for reference, v in by_reference.items()
     }
     if version == "3.0":
         for i, text in enumerate(_INDICATORS[interface.kind], start=1):
             more.append(Variable(f"event_indicator[{i}]", text, "local"))
-    return {**changed, **{len(kept) + i: v for i, v in enumerate(more)}}
+    return {**changed, **{len(by_reference) + i: v for i, v in enumerate(more)}}

@@ -65,14 +65,14 @@ def _add_flanks(
         contact_ = contacts[number]
         if contact_.force <= 0.0:
             continue
-        local = contact.local_frame(problem, crank_angle, work.place[0], contacts, number)
+        local = contact.local_frame(problem, crank_angle, work.coordinates[0], contacts, number)
         radius = problem.pin_radius[local.pin]
         distance = contact_.gap + radius
         speed = flank_speed(problem, local, distance)
         f = sliding_friction(law, rubbing.direction, radius, speed, contact_.force)
-        along, at = gap_gradient(local), FIRST_DISC + 3 * local.disc
+        along, first = gap_gradient(local), FIRST_DISC + 3 * local.disc
         fall, (slide_u, slide_v, slide_y) = force_fall(contact_, local, along), along.slide
-        acting, weights = (slide_u, slide_v, slide_y + distance), (row[at], row[at + 1], row[at + 2])
+        acting, weights = (slide_u, slide_v, slide_y + distance), (row[first], row[first + 1], row[first + 2])
         by_u = by_v = by_y = 0.0
         for i in range(3):
             by_u += weights[i] * rubbing_stiffness(local, along, f, fall, acting, i, 0)
@@ -83,7 +83,7 @@ def _add_flanks(
         add_by_pins_and_flanks(problem, contact_, local, by_position, by_force, by_normal, out)
         turning += projection((*crank_motion(problem, local), -1.0 / problem.teeth), by_position)
         # A smaller flank has its point of contact farther from the pin's axis.
-        out[PIN_GENERATING] += f.amplitude * row[at + 2]
+        out[PIN_GENERATING] += f.amplitude * row[first + 2]
     return turning
 
 
@@ -113,7 +113,7 @@ def _add_joints(
     problem: Problem, assembly: Assembly, work: Work, rubbing: Rubbing, sliding: Array, by_joint: Array
 ) -> float:
     """Subtract λ·∂r/∂p of the joints' friction for the parameters of each joint; return λ·∂r/∂θ."""
-    row, at, by, turning = work.step, work.at, work.by, 0.0
+    row, index, by, turning = work.step, work.indices, work.by, 0.0
     for number in range(assembly.joints.size):
         joint, out = assembly.joints[number], by_joint[number]
         d = displacement(assembly, joint, work)
@@ -127,8 +127,8 @@ def _add_joints(
             unknowns, slid, closing = derivatives(assembly, joint, d, work), 0.0, 0.0
             write_sliding(assembly, joint, rubbing.laws[int(joint.law)].outer_radius, d, work, unknowns, sliding)
             for i in range(unknowns):
-                slid += row[at[i]] * sliding[i]
-                closing += row[at[i]] * (d.normal_x * by[0, i] + d.normal_y * by[1, i])
+                slid += row[index[i]] * sliding[i]
+                closing += row[index[i]] * (d.normal_x * by[0, i] + d.normal_y * by[1, i])
             along = _Along(slid, closing, turned, row[seat.rotation] if seat.rotation >= 0 else 0.0)
         else:
             inner = assembly.bodies[int(joint.inner)].rotation
@@ -162,7 +162,7 @@ def sweep_motion_sensitivities(
     assembly: Assembly,
     crank_angles: Array,
     torques: Array,
-    places: Array,
+    coordinates: Array,
     rubbing: Rubbing,
     results: Derivatives,
     by_coefficient: Array,
@@ -187,8 +187,8 @@ def sweep_motion_sensitivities(
     """
     contacts = contact.contact_rows(problem)
     for i in range(crank_angles.size):
-        for k in range(work.place.size):
-            work.place[k] = places[i, k]
+        for k in range(work.coordinates.size):
+            work.coordinates[k] = coordinates[i, k]
         work.moved[0] = math.inf
         pull = Load(torques[i], 0.0, 0.0, CENTRING)
         assemble_rubbing(problem, assembly, crank_angles[i], pull, contacts, work, (rubbing, slope, loss))

@@ -180,15 +180,15 @@ def back_driving(drive: DriveValue, largest: float, crank_angle: Array, **option
         """Work that the input gives off; a drive that jams gives off none."""
         at_rest = solve(drive, torque[None], crank_angle, -1, 0.0, near=near, **options)
         given = at_rest.direction * at_rest.input_rate * at_rest.input_torque[0]
-        return np.where(np.isnan(given), -1.0, -given), np.nan_to_num(at_rest.place)
+        return np.where(np.isnan(given), -1.0, -given), np.nan_to_num(at_rest.coordinates)
 
     angles = np.asarray(crank_angle)
     outer, inner = np.full(angles.size, largest), np.zeros(angles.size)
-    at_outer, place = work(outer, None)
+    at_outer, coordinates = work(outer, None)
     at_inner, bracketed = at_outer.copy(), np.zeros(angles.size, dtype=bool)
     for share in _LOADS[1:]:
         torque = np.where(bracketed, outer, share * largest)
-        now, place = work(torque, place)
+        now, coordinates = work(torque, coordinates)
         passed = ~bracketed & ((now > 0.0) != (at_outer > 0.0))
         inner, at_inner = np.where(passed, torque, inner), np.where(passed, now, at_inner)
         bracketed |= passed
@@ -200,7 +200,7 @@ def back_driving(drive: DriveValue, largest: float, crank_angle: Array, **option
             # Illinois: a bisection where the straight line would not halve the bracket from both sides.
             line = inner - at_inner * (outer - inner) / np.where(at_outer != at_inner, at_outer - at_inner, 1.0)
             torque = np.where(bracketed, line, outer)
-            now, place = work(torque, place)
+            now, coordinates = work(torque, coordinates)
             same = (now > 0.0) == (at_outer > 0.0)
             at_inner = np.where(same, 0.5 * at_inner, now)
             at_outer = np.where(same, now, 0.5 * at_outer)

@@ -136,7 +136,7 @@ class _Losing:
 
     def __init__(self, drive: DriveValue, running: Sequence[Running], crank_angle: Array, workers: int) -> None:
         self.drive, self.running, self.crank_angle, self.workers = drive, running, crank_angle, workers
-        self.places: dict[Running, Array] = {}
+        self.starts: dict[Running, Array] = {}
         self.power: dict[float, float] = {}
         self.efficiency: dict[float, tuple[float, ...]] = {}
 
@@ -151,10 +151,10 @@ class _Losing:
 
     def _case(self, warm: DriveValue, load: Running) -> LoadCase:
         torque, direction = np.array([load.torque]), 1 if load.torque >= 0.0 else -1
-        near = self.places.get(load)
+        near = self.starts.get(load)
         rubbed = solve(warm, torque, self.crank_angle, direction, load.crank_speed, near=near, workers=self.workers)
-        if np.isfinite(rubbed.place).all():
-            self.places[load] = rubbed.place
+        if np.isfinite(rubbed.coordinates).all():
+            self.starts[load] = rubbed.coordinates
         (case,) = load_cases(warm, rubbed)
         return case
 
@@ -206,8 +206,8 @@ def heat(
         oil, reason = balanced[0], ""
         inside = np.linspace(thermal.ambient, oil, _INSIDE + 2)[1:-1].tolist()
         scanned = sorted({*scanned, *balanced, *inside})
-    places, power = np.array(scanned), np.array([losing(each) for each in scanned])
-    time, warming = _warm_up(thermal, places, power, oil)
+    temperatures, power = np.array(scanned), np.array([losing(each) for each in scanned])
+    time, warming = _warm_up(thermal, temperatures, power, oil)
     return Heat(
         tuple(running),
         thermal,
@@ -217,7 +217,7 @@ def heat(
         losing.efficiency.get(oil, (math.nan,) * len(running)),
         tuple(balanced[1:]),
         reason,
-        places,
+        temperatures,
         power,
         time,
         warming,
@@ -264,7 +264,7 @@ def _balanced(losing: _Losing, thermal: Thermal, scanned: Sequence[float]) -> li
     return balanced
 
 
-def _warm_up(thermal: Thermal, places: Array, power: Array, oil: float) -> tuple[Array, Array]:
+def _warm_up(thermal: Thermal, temperatures: Array, power: Array, oil: float) -> tuple[Array, Array]:
     """Return times, s, and the oil's temperatures, K, from the surroundings' up to the steady one, or as far as solved.
 
     t = ∫ C dT/(P(T) - (T - T_0)/R), in steps that are even in the logarithm of what is left of the rise; empty without
@@ -272,14 +272,14 @@ def _warm_up(thermal: Thermal, places: Array, power: Array, oil: float) -> tuple
     """
     from scipy.interpolate import PchipInterpolator
 
-    if thermal.capacity is None or places.size < 2:
+    if thermal.capacity is None or temperatures.size < 2:
         return np.empty(0), np.empty(0)
     steady = not math.isnan(oil)
-    rise = (oil if steady else places[-1]) - thermal.ambient
+    rise = (oil if steady else temperatures[-1]) - thermal.ambient
     part = 1.0 - np.exp(-np.linspace(0.0, _TIME_CONSTANTS, _STEPS)) if steady else np.linspace(0.0, 1.0, _STEPS)
     warming: Array = thermal.ambient + rise * part
-    given = np.where(places == oil, (places - thermal.ambient) / thermal.whole, power)
-    surplus = PchipInterpolator(places, given)(warming) - (warming - thermal.ambient) / thermal.whole
+    given = np.where(temperatures == oil, (temperatures - thermal.ambient) / thermal.whole, power)
+    surplus = PchipInterpolator(temperatures, given)(warming) - (warming - thermal.ambient) / thermal.whole
     if rise == 0.0:
         return np.zeros(_STEPS), warming
     by_part = thermal.capacity * rise * ((1.0 - part) if steady else 1.0) / surplus

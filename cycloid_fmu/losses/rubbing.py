@@ -170,7 +170,7 @@ def _add_flanks(
         force = contact_.force
         if force <= 0.0:
             continue
-        local = contact.local_frame(problem, crank_angle, work.place[0], contacts, row)
+        local = contact.local_frame(problem, crank_angle, work.coordinates[0], contacts, row)
         radius = problem.pin_radius[local.pin]
         distance = contact_.gap + radius
         speed = flank_speed(problem, local, distance)
@@ -179,11 +179,11 @@ def _add_flanks(
         along = gap_gradient(local)
         fall, (slide_u, slide_v, slide_y) = force_fall(contact_, local, along), along.slide
         # Friction acts at the point of contact, which slides with the gear's rotation as well.
-        acting, at = (slide_u, slide_v, slide_y + distance), FIRST_DISC + 3 * local.disc
+        acting, first = (slide_u, slide_v, slide_y + distance), FIRST_DISC + 3 * local.disc
         for i in range(3):
-            residual[at + i] -= f.amplitude * acting[i]
+            residual[first + i] -= f.amplitude * acting[i]
             for j in range(3):
-                jacobian[at + i, at + j] += rubbing_stiffness(local, along, f, fall, acting, i, j)
+                jacobian[first + i, first + j] += rubbing_stiffness(local, along, f, fall, acting, i, j)
 
 
 @compiled
@@ -211,12 +211,12 @@ def write_sliding(
 ) -> None:
     """Write the derivatives of a roller's sliding in its hole by the unknowns of `derivatives`; `radius` is its own."""
     outer, seat = assembly.bodies[int(joint.outer)].rotation, assembly.bodies[int(joint.seat)].rotation
-    at, by = work.at, work.by
+    index, by = work.indices, work.by
     for i in range(unknowns):
         out[i] = d.normal_x * by[1, i] - d.normal_y * by[0, i]
-        if at[i] == outer:
+        if index[i] == outer:
             out[i] -= d.length + radius
-        elif at[i] == seat:
+        elif index[i] == seat:
             out[i] += radius
 
 
@@ -226,19 +226,19 @@ def _add_roller(
 ) -> None:
     """Add the friction of an output roller to the balance."""
     outer, seat = assembly.bodies[int(joint.outer)].rotation, assembly.bodies[int(joint.seat)].rotation
-    at, by, nx, ny = work.at, work.by, d.normal_x, d.normal_y
+    index, by, nx, ny = work.indices, work.by, d.normal_x, d.normal_y
     for i in range(sliding.size):
-        work.residual[at[i]] += f.amplitude * sliding[i]
+        work.residual[index[i]] += f.amplitude * sliding[i]
         along = nx * by[0, i] + ny * by[1, i]
         for j in range(sliding.size):
             closing = nx * by[0, j] + ny * by[1, j]
             across = (nx * by[1, j] - ny * by[0, j]) / d.length
             change = f.slope * stiffness * closing * sliding[i] - f.amplitude * across * along
-            if i == j and (at[i] == outer or at[i] == seat):
+            if i == j and (index[i] == outer or index[i] == seat):
                 change += f.amplitude * along
-            if at[i] == outer:
+            if index[i] == outer:
                 change -= f.amplitude * closing
-            work.jacobian[at[i], at[j]] += change
+            work.jacobian[index[i], index[j]] += change
 
 
 @compiled
@@ -252,7 +252,7 @@ def _add_moment(
             work.residual[body] += sign * f.amplitude
             for j in range(unknowns):
                 closing = d.normal_x * work.by[0, j] + d.normal_y * work.by[1, j]
-                work.jacobian[body, work.at[j]] += sign * f.slope * stiffness * closing
+                work.jacobian[body, work.indices[j]] += sign * f.slope * stiffness * closing
 
 
 @compiled
@@ -283,9 +283,9 @@ def _add_joints(problem: Problem, assembly: Assembly, work: Work, rubbing: Rubbi
         for j in range(unknowns):
             closing = d.normal_x * work.by[0, j] + d.normal_y * work.by[1, j]
             across = d.normal_x * work.by[1, j] - d.normal_y * work.by[0, j]
-            slope.crank_torque[work.at[j]] -= (arm + by_crank * f.slope) * acting.stiffness * closing
+            slope.crank_torque[work.indices[j]] -= (arm + by_crank * f.slope) * acting.stiffness * closing
             if d.length > 0.0:
-                slope.crank_torque[work.at[j]] -= acting.force * along * across / d.length
+                slope.crank_torque[work.indices[j]] -= acting.force * along * across / d.length
     return torque
 
 

@@ -36,11 +36,11 @@ def _alone(losses: Losses, part: str, coefficient: str) -> Losses | None:
     zeros = {name: 0.0 for name in stated.linear_in if getattr(stated, name) is not None}
     if coefficient not in zeros or (coefficient == "speed_factor" and losses.lubricant is None):
         return None  # without a viscosity a speed factor makes no friction
-    one = stated.replace(friction=None, **{**zeros, coefficient: 1.0})
-    kept = {name: getattr(losses, name) for name in ("output_roller", "lubricant")}
-    if part != "output_roller" and kept["output_roller"] is not None:
-        kept["output_roller"] = kept["output_roller"].replace(radius=None, friction=None, friction_coefficient=0.0)
-    return Losses(**{**kept, part: one})
+    table = stated.replace(friction=None, **{**zeros, coefficient: 1.0})
+    others = {name: getattr(losses, name) for name in ("output_roller", "lubricant")}
+    if part != "output_roller" and others["output_roller"] is not None:
+        others["output_roller"] = others["output_roller"].replace(radius=None, friction=None, friction_coefficient=0.0)
+    return Losses(**{**others, part: table})
 
 
 def _by_name(pair: Pair, losses: Losses, crank_speed: float, by_law: Array, by_drag: Array) -> dict[str, Array]:
@@ -58,14 +58,14 @@ def _by_name(pair: Pair, losses: Losses, crank_speed: float, by_law: Array, by_d
     return by
 
 
-def sensitivity(drive: DriveValue, found: Rubbed, load: int = 0, slices: int | None = None) -> dict[str, Array]:
+def sensitivity(drive: DriveValue, rubbed: Rubbed, load: int = 0, slices: int | None = None) -> dict[str, Array]:
     """Return the derivatives of the crank's torque by the stated coefficients, by "table.key", shape (angles,) each.
 
     Parameters
     ----------
     drive
         The drive.
-    found
+    rubbed
         Of `solver.solve`, with a balance at every angle.
     load
         Index of the torque.
@@ -83,18 +83,18 @@ def sensitivity(drive: DriveValue, found: Rubbed, load: int = 0, slices: int | N
     With r(q, p) = 0 the balance, dτ/dp = ∂τ/∂p - λ·∂r/∂p, λ (∂r/∂q) = ∂τ/∂q: one linear solution for all. Which of
     two contacts slides, and the speed of its sliding, are held.
     """
-    pair, losses, angles = drive.pair, losses_of(drive), found.motion.crank_angle
-    rubbing = rubbing_of(drive, found.direction, found.crank_speed)
+    pair, losses, angles = drive.pair, losses_of(drive), rubbed.motion.crank_angle
+    rubbing = rubbing_of(drive, rubbed.direction, rubbed.crank_speed)
     by_law = np.zeros((angles.size, rubbing.laws.size, len(COEFFICIENTS)))
     by_carrier = np.zeros((angles.size, 2))
-    torques = np.array(np.broadcast_to(found.motion.torque[load], angles.shape))
-    unknowns, assembly = found.place.shape[-1], assembly_of(drive)
+    torques = np.array(np.broadcast_to(rubbed.motion.torque[load], angles.shape))
+    unknowns, assembly = rubbed.coordinates.shape[-1], assembly_of(drive)
     solved = sweep_rubbing_sensitivities(
         problem_of(drive, slices or drive.slices),
         assembly,
         angles,
         torques,
-        np.ascontiguousarray(found.place[load]),
+        np.ascontiguousarray(rubbed.coordinates[load]),
         rubbing,
         by_law,
         by_carrier,
@@ -104,12 +104,12 @@ def sensitivity(drive: DriveValue, found: Rubbed, load: int = 0, slices: int | N
     )
     if not solved:
         raise ValueError("the balance is singular: the drive jams")
-    by = _by_name(pair, losses, found.crank_speed, by_law, by_carrier[:, 0])
+    by = _by_name(pair, losses, rubbed.crank_speed, by_law, by_carrier[:, 0])
     if losses.first_stage is not None and drive.first_stage is not None:
         by["first_stage.loss"] = by_carrier[:, 1]
         if losses.first_stage.loss is None:
-            one = losses.first_stage.replace(friction_coefficient=1.0)
-            share = one.share(drive.first_stage.sun_teeth, drive.first_stage.planet_teeth)
+            stage = losses.first_stage.replace(friction_coefficient=1.0)
+            share = stage.share(drive.first_stage.sun_teeth, drive.first_stage.planet_teeth)
             by["first_stage.friction_coefficient"] = by_carrier[:, 1] * share
     return by
 
@@ -166,13 +166,17 @@ def motion_sensitivity(
     pair, losses, angles = drive.pair, losses_of(drive), np.array(crank_angle, dtype=float)
     torques, slices = np.array(np.broadcast_to(torque, angles.shape), dtype=float), slices or drive.slices
     rubbed = solve(drive, torques[None], angles, direction, crank_speed, slices=slices)
-    place, rubbing, assembly = rubbed.place[0], rubbing_of(drive, direction, crank_speed), assembly_of(drive)
+    coordinates, rubbing, assembly = (
+        rubbed.coordinates[0],
+        rubbing_of(drive, direction, crank_speed),
+        assembly_of(drive),
+    )
     error = rubbed.motion.transmission_error[0]
     if np.isnan(error).any():
-        at = int(np.argmax(np.isnan(error)))
+        jammed = int(np.argmax(np.isnan(error)))
         raise edge.InputError(
-            f"torque = {torques[at]:g} N*m: the drive jams at a crank angle of {angles[at]:.6g} rad, where the crank "
-            f"turns in direction {direction}; state less friction in [losses] or give a smaller torque."
+            f"torque = {torques[jammed]:g} N*m: the drive jams at a crank angle of {angles[jammed]:.6g} rad, where the "
+            f"crank turns in direction {direction}; state less friction in [losses] or give a smaller torque."
         )
     each = np.zeros((angles.size, displacement_size(pair)))
     by_joint = np.zeros((angles.size, assembly.joints.size, len(PARAMETERS)))
@@ -183,13 +187,13 @@ def motion_sensitivity(
         assembly,
         angles,
         torques,
-        np.ascontiguousarray(place),
+        np.ascontiguousarray(coordinates),
         rubbing,
         Derivatives(each, by_joint, by_angle, by_torque),
         by_law,
         by_drag,
         work_of(assembly),
-        slope_of(place.shape[-1]),
+        slope_of(coordinates.shape[-1]),
         np.zeros(len(PARTS)),
     )
     if not solved:

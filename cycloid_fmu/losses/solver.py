@@ -162,7 +162,7 @@ class Rubbed:
         1 or -1; rad/s, not below 0.
     motion
         Motion, forces and the crank's torque; NaN where the drive jams.
-    place
+    coordinates
         Unknowns of the balance, shape (torques, angles, unknowns).
     loss
         What each of `PARTS` loses for each radian of the crank, shape (torques, angles, parts), J.
@@ -175,7 +175,7 @@ class Rubbed:
     direction: int
     crank_speed: float
     motion: OnBearings
-    place: Array
+    coordinates: Array
     loss: Array
     input_torque: Array
     input_rate: float
@@ -220,7 +220,7 @@ def solve(
     slices
         Slices across the face width; None for as many as the errors need.
     near
-        `place` of a solution at nearly the same torques, to start from.
+        `coordinates` of a solution at nearly the same torques, to start from.
     workers, progress
         Threads; function called with the number of crank angles (times loads) that were just finished.
 
@@ -236,13 +236,13 @@ def solve(
     solutions = empty(pair, len(at_angles), angles.size)
     loss = np.zeros((*solutions.steps.shape, len(PARTS)))
     if near is not None:
-        solutions.place[:] = near
+        solutions.coordinates[:] = near
     assembly, mesh = assembly_of(drive), problem_of(drive, slices)
 
     def part(start: int, last: int) -> None:
         problem = with_own_discs(mesh)
         for k, torques in enumerate(at_angles):
-            part_of_sweep, unknowns = of_part(solutions, np.s_[k, start:last]), solutions.place.shape[-1]
+            part_of_sweep, unknowns = of_part(solutions, np.s_[k, start:last]), solutions.coordinates.shape[-1]
             sweep_rubbing(
                 problem,
                 assembly,
@@ -280,4 +280,4 @@ def solve(
         of_input = -of_input * drive.first_stage.sun_share * factor
     of_input = of_input + math.copysign(drag, rate) * direction
     motion = results(pair, np.asarray(torque, dtype=float), angles, at_angles, solutions)
-    return Rubbed(direction, crank_speed, motion, solutions.place, loss, of_input, rate)
+    return Rubbed(direction, crank_speed, motion, solutions.coordinates, loss, of_input, rate)

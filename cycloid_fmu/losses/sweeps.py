@@ -62,19 +62,19 @@ def sweep_rubbing(
     results, loss
         Overwritten; without a balance `steps` are 0. `loss` has shape (angles, parts), J for each radian of the crank.
     near
-        Whether `results.place` holds solutions at nearly the same torques, which are the start instead.
+        Whether `results.coordinates` holds solutions at nearly the same torques, which are the start instead.
     """
     contacts = contact.contact_rows(problem)
-    q = work.place
+    q = work.coordinates
     for i in range(crank_angles.size):
         crank_angle = crank_angles[i]
         follows = False
         if near:
             for k in range(q.size):
-                q[k] = results.place[i, k]
+                q[k] = results.coordinates[i, k]
             work.moved[0] = math.inf
         elif i > 0 and results.steps[i - 1] > 0:
-            follows = follow_neighbours(crank_angles, results.place, i, q)
+            follows = follow_neighbours(crank_angles, results.coordinates, i, q)
         cold = not (near or follows)
         pull = Load(torques[i], 0.0, 0.0, CENTRING)
         results.steps[i] = settle_rubbing(
@@ -119,13 +119,13 @@ def add_flank_coefficients(
         force = contacts[row].force
         if force <= 0.0:
             continue
-        local = contact.local_frame(problem, crank_angle, work.place[0], contacts, row)
+        local = contact.local_frame(problem, crank_angle, work.coordinates[0], contacts, row)
         radius = problem.pin_radius[local.pin]
         distance = contacts[row].gap + radius
         f = sliding_friction(law, rubbing.direction, radius, flank_speed(problem, local, distance), force)
-        at = FIRST_DISC + 3 * local.disc
-        weights = (row_[at], row_[at + 1], row_[at + 2])
-        sliding = projection(weights, gap_gradient(local).slide) + distance * row_[at + 2]
+        first = FIRST_DISC + 3 * local.disc
+        weights = (row_[first], row_[first + 1], row_[first + 2])
+        sliding = projection(weights, gap_gradient(local).slide) + distance * row_[first + 2]
         _by_coefficients(law, f, force, False, sliding, radius, out[FLANK_LAW])
 
 
@@ -144,7 +144,7 @@ def add_joint_coefficients(
     `direct` is what the crank's torque becomes for each N·m on the crank itself: 1 without a first stage; 0 where λ is
     not that of the crank's torque.
     """
-    row, at = work.step, work.at
+    row, index = work.step, work.indices
     for number in range(assembly.joints.size):
         joint = assembly.joints[number]
         d = displacement(assembly, joint, work)
@@ -155,7 +155,7 @@ def add_joint_coefficients(
             unknowns = derivatives(assembly, joint, d, work)
             write_sliding(assembly, joint, law.outer_radius, d, work, unknowns, sliding)
             for i in range(unknowns):
-                along -= row[at[i]] * sliding[i]
+                along -= row[index[i]] * sliding[i]
         else:
             outer, inner = assembly.bodies[int(joint.outer)].rotation, assembly.bodies[int(joint.inner)].rotation
             along = (row[inner] if inner >= 0 else -direct) - (row[outer] if outer >= 0 else 0.0)
@@ -168,7 +168,7 @@ def sweep_rubbing_sensitivities(
     assembly: Assembly,
     crank_angles: Array,
     torques: Array,
-    places: Array,
+    coordinates: Array,
     rubbing: Rubbing,
     by_coefficient: Array,
     by_carrier: Array,
@@ -188,10 +188,10 @@ def sweep_rubbing_sensitivities(
         Overwritten with those by the carrier's drag (1) and by the first stage's loss ζ (N·m), shape (angles, 2).
     """
     contacts = contact.contact_rows(problem)
-    n = work.place.size
+    n = work.coordinates.size
     for i in range(crank_angles.size):
         for k in range(n):
-            work.place[k] = places[i, k]
+            work.coordinates[k] = coordinates[i, k]
         work.moved[0] = math.inf
         pull = Load(torques[i], 0.0, 0.0, CENTRING)
         torque = assemble_rubbing(problem, assembly, crank_angles[i], pull, contacts, work, (rubbing, slope, loss))

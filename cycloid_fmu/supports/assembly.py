@@ -87,7 +87,7 @@ def kinds_of(pair: Pair) -> tuple[Kind, ...]:
     has_cranks = supports.kind == "cranks"
     disc, crank = FIRST_DISC_BODY + np.arange(discs)[:, None], FIRST_DISC_BODY + discs + np.arange(cranks)
     angle = supports.first_angle + 2.0 * np.pi * np.arange(count) / count
-    places = {
+    positions = {
         "place_x": supports.circle_radius * np.cos(angle),
         "place_y": supports.circle_radius * np.sin(angle),
     }
@@ -106,7 +106,7 @@ def kinds_of(pair: Pair) -> tuple[Kind, ...]:
             {"disc": discs, "crank": cranks},
             disc,
             crank,
-            {**(places if has_cranks else {}), "eccentricity": pair.eccentricity},
+            {**(positions if has_cranks else {}), "eccentricity": pair.eccentricity},
             {**(of_places if has_cranks else {}), **of_eccentrics},
         ),
         Kind(
@@ -124,7 +124,7 @@ def kinds_of(pair: Pair) -> tuple[Kind, ...]:
             {"disc": discs, "roller": 0 if has_cranks else count},
             disc,
             CARRIER,
-            {} if has_cranks else {**places, "reach": pair.eccentricity},
+            {} if has_cranks else {**positions, "reach": pair.eccentricity},
             {} if has_cranks else {**of_places, "play": ("hole_play",)},
         ),
     )
@@ -137,8 +137,8 @@ def bodies_of(pair: Pair) -> NDArray[np.void]:
     carried = CARRIER if pair.supports.kind == "cranks" else HOUSING
     bodies = [(-1, -1, -1, 0.0, 0.0), (1, 0, -1, rate, 0.0)]
     for disc in range(pair.discs):
-        at = FIRST_DISC + 3 * disc
-        bodies.append((at, at + 2, -1, rate, 2.0 * np.pi * disc / pair.discs))
+        first = FIRST_DISC + 3 * disc
+        bodies.append((first, first + 2, -1, rate, 2.0 * np.pi * disc / pair.discs))
     bodies += [(first_crank + 2 * crank, -1, carried, 1.0, 0.0) for crank in range(pair.supports.cranks)]
     return np.array(bodies, BODY)
 
@@ -239,9 +239,9 @@ def elastic_of(pair: Pair) -> Elastic | None:
         each = 0 if not elastic.get(kind.name) else 1 if kind.name == "output_roller" else 2
         if each == 2 and kind.name == "turning_arm":
             each = influence.sectors
-        for at in range(kind.size):
-            disc = at // kind.shape[1] if "disc" in kind.grid else pair.discs
-            block, slot = 0 if influence.coupled else disc, slots.get(kind.name, 0) + at * each
+        for member in range(kind.size):
+            disc = member // kind.shape[1] if "disc" in kind.grid else pair.discs
+            block, slot = 0 if influence.coupled else disc, slots.get(kind.name, 0) + member * each
             ports = [_port(kind, number, joints, slot + n, n, each, block) for n in range(each)]
             groups.append((disc, joints, ports))
             count.append(each)

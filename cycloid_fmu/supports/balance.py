@@ -16,7 +16,7 @@ from cycloid_fmu import contact
 from cycloid_fmu.contact import Array, Problem, Rows, compiled
 from cycloid_fmu.contact.equilibrium import load
 from cycloid_fmu.contact.local_frame import contact_stiffness, gap_gradient
-from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place
+from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place_contacts
 from cycloid_fmu.supports.elastic import add_ports, press, write_approaches
 from cycloid_fmu.supports.joints import FIRST_DISC, Assembly, Work, derivatives, displacement, orient, reaction
 from cycloid_fmu.supports.ports import Elastic, has_ports, reach_of, set_exact
@@ -57,22 +57,22 @@ class Load(NamedTuple):
 @compiled
 def _place_discs(problem: Problem, assembly: Assembly, crank_angle: float, contacts: Rows, work: Work) -> None:
     """Place the discs according to the unknowns and solve the gaps that may close."""
-    q, x = work.place, work.place[0]
+    q, x = work.coordinates, work.coordinates[0]
     furthest = 0.0
     for disc in range(problem.shift_x.size):
-        at = FIRST_DISC + 3 * disc
-        problem.shift_x[disc], problem.shift_y[disc], problem.turn[disc] = q[at], q[at + 1], q[at + 2] - x
+        first = FIRST_DISC + 3 * disc
+        problem.shift_x[disc], problem.shift_y[disc], problem.turn[disc] = q[first], q[first + 1], q[first + 2] - x
         pose = work.pose[disc]
-        shifted = math.hypot(q[at] - pose[0], q[at + 1] - pose[1])
+        shifted = math.hypot(q[first] - pose[0], q[first + 1] - pose[1])
         furthest = max(furthest, shifted + assembly.rotation_scale * abs(problem.turn[disc] - pose[2]))
-        pose[0], pose[1], pose[2] = q[at], q[at + 1], problem.turn[disc]
+        pose[0], pose[1], pose[2] = q[first], q[first + 1], problem.turn[disc]
     cold = work.moved[0] == math.inf
     work.moved[0] += furthest
     reach = reach_of(work.ports)
     clear = _REACH + reach
     if not work.moved[0] < _REACH - CLEAR:
         clear, work.moved[0] = math.inf, 0.0
-    place(problem, crank_angle, x, contacts, cold, clear, BOUNDED + reach)
+    place_contacts(problem, crank_angle, x, contacts, cold, clear, BOUNDED + reach)
 
 
 @compiled
@@ -82,20 +82,20 @@ def _add_mesh(problem: Problem, crank_angle: float, contacts: Rows, work: Work) 
         force = contacts[row].force
         if force <= 0.0:
             continue
-        local = contact.local_frame(problem, crank_angle, work.place[0], contacts, row)
+        local = contact.local_frame(problem, crank_angle, work.coordinates[0], contacts, row)
         along = gap_gradient(local)
         stiffness = contact_stiffness(contacts[row], local, along)
-        at = FIRST_DISC + 3 * local.disc
+        first = FIRST_DISC + 3 * local.disc
         for i in range(3):
-            work.residual[at + i] -= force * along.gap[i]
+            work.residual[first + i] -= force * along.gap[i]
             for j in range(3):
-                work.jacobian[at + i, at + j] += stiffness[i][j]
+                work.jacobian[first + i, first + j] += stiffness[i][j]
 
 
 @compiled
 def _add_joints(assembly: Assembly, crank_angle: float, centring: float, work: Work) -> None:
     """Add the joints' forces on their two bodies and the derivatives of these forces."""
-    residual, jacobian, by, at = work.residual, work.jacobian, work.by, work.at
+    residual, jacobian, by, index = work.residual, work.jacobian, work.by, work.indices
     orient(assembly, crank_angle, work)
     for number in range(assembly.joints.size):
         if has_ports(assembly.elastic, number):
@@ -112,11 +112,11 @@ def _add_joints(assembly: Assembly, crank_angle: float, centring: float, work: W
         kxy = (acting.stiffness - across) * nx * ny
         for i in range(unknowns):
             bx, by_ = by[0, i], by[1, i]
-            row = at[i]
+            row = index[i]
             residual[row] += force * (nx * bx + ny * by_)
             kx, ky = kxx * bx + kxy * by_, kxy * bx + kyy * by_
             for j in range(unknowns):
-                jacobian[row, at[j]] += kx * by[0, j] + ky * by[1, j]
+                jacobian[row, index[j]] += kx * by[0, j] + ky * by[1, j]
         # The lever arms rotate as well.
         turn = assembly.bodies[joint.outer].rotation
         if turn >= 0:
@@ -160,14 +160,14 @@ def _add_forces(
 def assemble(
     problem: Problem, assembly: Assembly, crank_angle: float, pull: Load, contacts: Rows, work: Work, more: Any
 ) -> None:
-    """Write the residual of the balance at `work.place`, and its derivatives; `more` is None."""
+    """Write the residual of the balance at `work.coordinates`, and its derivatives; `more` is None."""
     _place_discs(problem, assembly, crank_angle, contacts, work)
     for i in range(work.residual.size):
         work.residual[i] = 0.0
         for j in range(work.residual.size):
             work.jacobian[i, j] = 0.0
     _add_forces(problem, assembly, assembly.elastic, crank_angle, pull.centring, contacts, work, work.ports)
-    work.residual[0] += pull.spring * (work.place[0] - pull.flange) - pull.torque
+    work.residual[0] += pull.spring * (work.coordinates[0] - pull.flange) - pull.torque
     work.jacobian[0, 0] += pull.spring
 
 
@@ -278,9 +278,9 @@ def _between(work: Work, share: float, now: float, low: float, high: float) -> f
     for i in range(step.size):
         for j in range(step.size):
             slope += step[i] * work.jacobian[i, j] * step[j]
-    found = share - now / slope if slope > 0.0 else low
-    if low < found < high:
-        return found
+    crossing = share - now / slope if slope > 0.0 else low
+    if low < crossing < high:
+        return crossing
     return low + (0.1 if low == 0.0 else 0.5) * (high - low)
 
 
@@ -307,17 +307,17 @@ def settling(assembled: Callable[..., Any]) -> _Settle:
         more: Any,
         iterations: int,
     ) -> int:
-        """Solve the balance from `work.place`, which is overwritten; return the number of steps, 0 if it was not found.
+        """Solve the balance from `work.coordinates`, which is overwritten; return the number of steps, 0 without one.
 
         If the work along a step has changed its sign at the end, the step is shortened until the work is at most half
         as large, with either sign: energies are convex for small rotations. Otherwise a contact that closes within the
         step would be missed, and the next step would overshoot too.
         """
         assembled(problem, assembly, crank_angle, pull, contacts, work, more)
-        q, short = work.place, 0
+        q, short = work.coordinates, 0
         for iteration in range(iterations):
-            left = longest_of(problem, assembly, work.residual, -1.0)
-            if left < assembly.balanced:
+            unbalanced = longest_of(problem, assembly, work.residual, -1.0)
+            if unbalanced < assembly.balanced:
                 return iteration + 1
             share = _direction(problem, assembly, work)
             if share == 0.0:
@@ -365,31 +365,31 @@ def settling(assembled: Callable[..., Any]) -> _Settle:
         more: Any,
         cold: bool,
     ) -> int:
-        """Solve the balance from `work.place` or, if `cold` or not found, from ideal positions with softening springs.
+        """Solve the balance from `work.coordinates` or, if `cold` or without success, from ideal positions.
 
-        Return the number of steps, 0 without a balance.
+        Centring springs soften from ideal positions on. Return the number of steps, 0 without a balance.
         """
-        total = found = 0
+        total = taken = 0
         set_exact(work.ports, 0.0)
         for stage in range(1 if cold else 0, 3):
             if stage > 0:
-                for i in range(work.place.size):
-                    work.place[i] = 0.0
+                for i in range(work.coordinates.size):
+                    work.coordinates[i] = 0.0
                 work.moved[0] = math.inf
-            spring, found = 1e8 if stage == 2 else pull.centring, 0
+            spring, taken = 1e8 if stage == 2 else pull.centring, 0
             while True:
                 most = _LAST_ITERATIONS if stage == 2 and spring == pull.centring else _ITERATIONS
                 stage_pull = Load(pull.torque, pull.spring, pull.flange, spring)
-                found = balance(problem, assembly, crank_angle, stage_pull, contacts, work, more, most)
-                total += found if found > 0 else most
+                taken = balance(problem, assembly, crank_angle, stage_pull, contacts, work, more, most)
+                total += taken if taken > 0 else most
                 if spring == pull.centring:
                     break
                 spring = max(0.1 * spring, pull.centring)
-            if found > 0:
+            if taken > 0:
                 break
-        if set_exact(work.ports, 1.0) and found > 0:
+        if set_exact(work.ports, 1.0) and taken > 0:
             assembled(problem, assembly, crank_angle, pull, contacts, work, more)
-        return total if found > 0 else 0
+        return total if taken > 0 else 0
 
     return settle
 

@@ -254,10 +254,10 @@ def solve_ports(ports: Ports, right: Array) -> None:
 def _write_stiffness(ports: Ports) -> None:
     """Write AᵀSA, with S = (C + D⁻¹)⁻¹, as the sum of products of the rows of R⁻ᵀA."""
     n, factor, forward, stiffness = ports.counts[0], ports.factor, ports.forward, ports.stiffness
-    width, unknowns = forward.shape[1], ports.by_place.shape[1]
+    width, unknowns = forward.shape[1], ports.by_coordinate.shape[1]
     for k in range(n):
         for i in range(unknowns):
-            forward[k, i] = ports.by_place[k, i]
+            forward[k, i] = ports.by_coordinate[k, i]
     for i in range(width):
         for j in range(width):
             stiffness[i, j] = 0.0
@@ -464,7 +464,7 @@ def write_approaches(
             port.approach = -(port.along_x * dx + port.along_y * dy) - port.clearance
     for row in range(contacts.shape[0]):
         contact_, gap = contacts[row], math.inf
-        if contact_.gap < math.inf and contact.is_solved_at(contact_, crank_angle, work.place[0]):
+        if contact_.gap < math.inf and contact.is_solved_at(contact_, crank_angle, work.coordinates[0]):
             gap = contact_.gap + problem.seat_gap
         ports.ports[elastic.of_row[row]].approach = -gap
 
@@ -490,14 +490,14 @@ def _write_pins(problem: Problem, elastic: Elastic, contacts: Rows, ports: Ports
 @compiled
 def _add_pin(problem: Problem, crank_angle: float, contacts: Rows, row: int, work: Work, ports: Ports, k: int) -> None:
     """Write the derivatives of a pin's approach, and add what turns its force."""
-    contact_, by = contacts[row], ports.by_place[k]
-    local = contact.local_frame(problem, crank_angle, work.place[0], contacts, row)
+    contact_, by = contacts[row], ports.by_coordinate[k]
+    local = contact.local_frame(problem, crank_angle, work.coordinates[0], contacts, row)
     along = gap_gradient(local)
-    at, turning = FIRST_DISC + 3 * local.disc, turning_stiffness(contact_.force, local, along)
+    first, turning = FIRST_DISC + 3 * local.disc, turning_stiffness(contact_.force, local, along)
     for i in range(3):
-        by[at + i] = -along.gap[i]
+        by[first + i] = -along.gap[i]
         for j in range(3):
-            work.jacobian[at + i, at + j] += turning[i][j]
+            work.jacobian[first + i, first + j] += turning[i][j]
 
 
 @compiled
@@ -510,16 +510,16 @@ def _add_joint(
     """
     joint, c, s = assembly.joints[number], axes[0], axes[1]
     d = displacement(assembly, joint, work)
-    unknowns, at, by = derivatives(assembly, joint, d, work), work.at, work.by
+    unknowns, index, by = derivatives(assembly, joint, d, work), work.indices, work.by
     last = elastic.first[number] + elastic.ports_of_joint[number]
     fx = fy = 0.0
     while k < ports.counts[0] and ports.active[k] < last:
-        port, row = ports.ports[ports.active[k]], ports.by_place[k]
+        port, row = ports.ports[ports.active[k]], ports.by_coordinate[k]
         ax, ay = d.normal_x, d.normal_y
         if joint.reach == 0.0:
             ax, ay = s * port.along_y - c * port.along_x, -s * port.along_x - c * port.along_y
         for i in range(unknowns):
-            row[at[i]] += ax * by[0, i] + ay * by[1, i]
+            row[index[i]] += ax * by[0, i] + ay * by[1, i]
         fx, fy = fx + port.force * ax, fy + port.force * ay
         k += 1
     ports.of_joints[number, 0], ports.of_joints[number, 1] = fx, fy
@@ -531,7 +531,7 @@ def _turn_joint(assembly: Assembly, number: int, centring: float, work: Work, po
     """Add what turns a joint's force as the unknowns change, and its centring spring."""
     joint, jacobian = assembly.joints[number], work.jacobian
     d = displacement(assembly, joint, work)
-    unknowns, at, by = derivatives(assembly, joint, d, work), work.at, work.by
+    unknowns, index, by = derivatives(assembly, joint, d, work), work.indices, work.by
     fx, fy, nx, ny = ports.of_joints[number, 0], ports.of_joints[number, 1], d.normal_x, d.normal_y
     spring = across = 0.0
     if joint.reach > 0.0:
@@ -540,7 +540,7 @@ def _turn_joint(assembly: Assembly, number: int, centring: float, work: Work, po
         spring, across = centring, centring
         px, py = spring * d.length * nx, spring * d.length * ny
         for i in range(unknowns):
-            work.residual[at[i]] += px * by[0, i] + py * by[1, i]
+            work.residual[index[i]] += px * by[0, i] + py * by[1, i]
         fx, fy = fx + px, fy + py
     kxx, kyy, kxy = (
         spring * nx * nx + across * ny * ny,
@@ -550,7 +550,7 @@ def _turn_joint(assembly: Assembly, number: int, centring: float, work: Work, po
     for i in range(unknowns):
         kx, ky = kxx * by[0, i] + kxy * by[1, i], kxy * by[0, i] + kyy * by[1, i]
         for j in range(unknowns):
-            jacobian[at[i], at[j]] += kx * by[0, j] + ky * by[1, j]
+            jacobian[index[i], index[j]] += kx * by[0, j] + ky * by[1, j]
     turn = assembly.bodies[joint.outer].rotation
     if turn >= 0:
         jacobian[turn, turn] -= fx * d.outer_x + fy * d.outer_y
@@ -571,7 +571,7 @@ def add_ports(
     ports: Ports,
 ) -> None:
     """Add the solved forces of all ports and their derivatives to the balance, after `press`."""
-    n, by, residual = ports.counts[0], ports.by_place, work.residual
+    n, by, residual = ports.counts[0], ports.by_coordinate, work.residual
     _write_pins(problem, elastic, contacts, ports)
     for k in range(n):
         for i in range(residual.size):
@@ -661,7 +661,7 @@ def pull_ports(elastic: Elastic | None, ports: Any, by: Array) -> float:
         ports.ports[number].pull = 0.0
     n, right, rates = ports.counts[0], ports.right, ports.rates
     for k in range(n):
-        right[k] = dot(ports.by_place[k], by)
+        right[k] = dot(ports.by_coordinate[k], by)
     solve_ports(ports, right)
     _write_forces(ports)
     for slot in range(rates.size):
@@ -768,10 +768,10 @@ def share_compliance(
         joint = assembly.joints[number]
         d = displacement(assembly, joint, work)
         acting = reaction(assembly, joint, d, 0.0)
-        unknowns, at, by = derivatives(assembly, joint, d, work), work.at, work.by
+        unknowns, index, by = derivatives(assembly, joint, d, work), work.indices, work.by
         lx = ly = 0.0
         for i in range(unknowns):
-            lx += by[0, i] * by_torque[at[i]]
-            ly += by[1, i] * by_torque[at[i]]
+            lx += by[0, i] * by_torque[index[i]]
+            ly += by[1, i] * by_torque[index[i]]
         gx, gy = change(d, acting, lx, ly)
         out[1 + joint.law] += gx * lx + gy * ly

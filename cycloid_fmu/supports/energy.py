@@ -53,7 +53,7 @@ class Held(NamedTuple):
 
 def held(drive: Problem, assembly: Assembly, work: Work) -> Held:
     """Return a drive on its bearings; kernels overwrite the arrays."""
-    return Held(drive, assembly, work, np.zeros(work.place.size), np.zeros(work.place.size))
+    return Held(drive, assembly, work, np.zeros(work.coordinates.size), np.zeros(work.coordinates.size))
 
 
 @compiled
@@ -78,10 +78,10 @@ def _mesh(
         curved = contact_.force_by_curvature * contact_.curvature_rate * local.foot
         bending = 0.5 * force * curved / contact_.stiffness
         bent_by += bending * projection(motion, along.slide)
-        at = FIRST_DISC + 3 * local.disc
+        first = FIRST_DISC + 3 * local.disc
         for i in range(3):
-            by_energy[at + i] += bending * along.slide[i]
-            by_angle[at + i] += projection(motion, stiffness[i])
+            by_energy[first + i] += bending * along.slide[i]
+            by_angle[first + i] += projection(motion, stiffness[i])
     return energy, turning, bent_by
 
 
@@ -108,7 +108,7 @@ def stand(box: Held, crank_angle: float, pull: Load, rows: Rows, cold: bool, out
     Parameters
     ----------
     box
-        The drive; its unknowns are in `work.place`.
+        The drive; its unknowns are in `work.coordinates`.
     crank_angle, pull
         Crank angle, rad, and the load.
     rows, cold
@@ -120,7 +120,7 @@ def stand(box: Held, crank_angle: float, pull: Load, rows: Rows, cold: bool, out
         and the torque on the carrier (N·m).
     """
     drive, assembly, work, by_energy, by_angle = box.drive, box.assembly, box.work, box.by_energy, box.by_angle
-    q, teeth, n = work.place, drive.teeth, work.step.size
+    q, teeth, n = work.coordinates, drive.teeth, work.step.size
     spring, flange = pull.spring, pull.flange
     if spring > 0.0:
         # Discs start with the carrier's rotation, or they would be pressed immediately.

@@ -132,8 +132,11 @@ def compliance(pair: Pair, *, progress: Callable[[int], None] = lambda stages: N
     for name, supports, bodies in [("mesh", None, None), *_stages(pair.supports, pair.bodies)]:
         stated = pair.replace(supports=supports, bodies=bodies)
         swept = solve(DriveValue(stated, nominal_surface(stated)), loads, angles, Options(with_play=False))
-        place = swept.transmission_error.mean(axis=1)
-        now_soft, now_lost = float((place[1] - place[0]) / (loads[1] - loads[0])), float(place[2] - place[3])
+        rotation = swept.transmission_error.mean(axis=1)
+        now_soft, now_lost = (
+            float((rotation[1] - rotation[0]) / (loads[1] - loads[0])),
+            float(rotation[2] - rotation[3]),
+        )
         shares.append(Share(name, now_soft - soft, now_lost - lost))
         soft, lost = now_soft, now_lost
         progress(1)
@@ -199,14 +202,14 @@ def bearing_loads(pair: Pair, swept: Transmission, load: int = 0) -> list[Bearin
         # Turns of the inner ring relative to the outer ring per crank turn.
         turns = np.broadcast_to(np.abs(rate[kind.outer] - rate[kind.inner]), kind.shape)
         capacity = getattr(supports, kind.name).dynamic_capacity
-        for place in np.ndindex(kind.shape):
-            force = forces[kind.name][(load, slice(None), *place)]
+        for member in np.ndindex(kind.shape):
+            force = forces[kind.name][(load, slice(None), *member)]
             equivalent, life = float(equivalent_load(force)), math.nan
             if capacity is not None:
                 share = capacity / equivalent if equivalent > 0.0 else math.inf
-                life = 1e6 * share**LIFE_EXPONENT / float(turns[place])
-            at = [f"{axis} {i}" for axis, i in zip(kind.grid, place, strict=True) if axis in numbered]
-            rows.append(BearingLoad(", ".join([names[kind.name], *at]), float(force.max()), equivalent, life))
+                life = 1e6 * share**LIFE_EXPONENT / float(turns[member])
+            numbers = [f"{axis} {i}" for axis, i in zip(kind.grid, member, strict=True) if axis in numbered]
+            rows.append(BearingLoad(", ".join([names[kind.name], *numbers]), float(force.max()), equivalent, life))
     return rows
 
 

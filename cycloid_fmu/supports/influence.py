@@ -44,10 +44,10 @@ class Influence(NamedTuple):
     own
         Cubics of the compliance of a place by itself, along x, both and y, shape (discs, curves, places, 4, 3); curve 0
         is the flank, the others are holes.
-    curve_at, curve_first, curve_places
+    curve_offset, curve_first, curve_points
         First port of each curve, its first place in steps from the curve's origin, and its number of places, shape
         (discs, curves).
-    arms_at
+    arms_offset
         First port of a disc's turning arms, shape (discs,).
     arc
         Cubics of the arc length over a tooth in its parts, less what is proportional to the angle, shape (pieces, 4).
@@ -77,10 +77,10 @@ class Influence(NamedTuple):
 
     between: Array
     own: Array
-    curve_at: Indices
+    curve_offset: Indices
     curve_first: Array
-    curve_places: Indices
-    arms_at: Indices
+    curve_points: Indices
+    arms_offset: Indices
     arc: Array
     clocking: Array
     fixed: Array
@@ -185,7 +185,7 @@ def influence_of(pair: Pair, matrices: BodyMatrices) -> Influence:
     between, own = _stacked(discs, curves)
     fixed = np.zeros((slots, slots))
     for j, disc in enumerate(discs):
-        first, held = arms_slot + j * arms * sectors, slice(disc.arms_at, disc.arms_at + arms * sectors)
+        first, held = arms_slot + j * arms * sectors, slice(disc.arms_offset, disc.arms_offset + arms * sectors)
         fixed[first : first + arms * sectors, first : first + arms * sectors] = disc.between[held, held]
     by_cranks = _by_cranks(pair, matrices.crank, arms, sectors)
     if by_cranks.size > 0:
@@ -197,10 +197,10 @@ def influence_of(pair: Pair, matrices: BodyMatrices) -> Influence:
     return Influence(
         between=between,
         own=own,
-        curve_at=np.array([disc.at for disc in discs], np.int64).reshape(shape),
+        curve_offset=np.array([disc.offsets for disc in discs], np.int64).reshape(shape),
         curve_first=np.array([disc.first for disc in discs], float).reshape(shape),
-        curve_places=np.array([disc.places for disc in discs], np.int64).reshape(shape),
-        arms_at=np.array([disc.arms_at for disc in discs], np.int64),
+        curve_points=np.array([disc.points for disc in discs], np.int64).reshape(shape),
+        arms_offset=np.array([disc.arms_offset for disc in discs], np.int64),
         arc=_arc_over_tooth(pair),
         clocking=np.array([clocking(pair, disc) for disc in range(pair.discs)]),
         fixed=fixed,
@@ -224,8 +224,8 @@ def influence_of(pair: Pair, matrices: BodyMatrices) -> Influence:
 def _stacked(discs: Sequence[_DiscPorts], curves: int) -> tuple[Array, Array]:
     """Return the influence between all discs' ports, and the pins' own along their curves, zero where one ends."""
     ports = max((len(disc.between) for disc in discs), default=0)
-    places = max((int(disc.places.max()) for disc in discs), default=0)
-    between, own = np.zeros((len(discs), ports, ports)), np.zeros((len(discs), curves, places, 4, 3))
+    points = max((int(disc.points.max()) for disc in discs), default=0)
+    between, own = np.zeros((len(discs), ports, ports)), np.zeros((len(discs), curves, points, 4, 3))
     for j, disc in enumerate(discs):
         between[j, : len(disc.between), : len(disc.between)] = disc.between
         for curve, cubics in enumerate(disc.own):
@@ -258,10 +258,10 @@ class _DiscPorts(NamedTuple):
 
     between: Array
     own: list[Array]
-    at: list[int]
+    offsets: list[int]
     first: list[float]
-    places: Indices
-    arms_at: int
+    points: Indices
+    arms_offset: int
     largest: float
 
 
@@ -269,9 +269,9 @@ def _ports_of(disc: DiscInfluence, arms: str) -> _DiscPorts:
     """Both components of all places along the curves, six of them twice, and then the ports of the turning arms."""
     matrix, curves = disc.matrix, (disc.flank, *disc.holes)
     rows: list[Array] = []
-    at, size = [], 0
+    offsets, size = [], 0
     for curve in curves:
-        at.append(size)
+        offsets.append(size)
         rows.append(_along(curve, len(matrix.compliance)))
         size += len(rows[-1])
     fixed = matrix.of(arms)
@@ -280,7 +280,7 @@ def _ports_of(disc: DiscInfluence, arms: str) -> _DiscPorts:
     return _DiscPorts(
         whole @ matrix.compliance @ whole.T,
         [_cubics(curve) for curve in curves],
-        at,
+        offsets,
         [curve.first for curve in curves],
         np.array([len(curve.ports) for curve in curves]),
         size,
@@ -326,44 +326,44 @@ def _between(block: Array, start: int, spread: Array, start2: int, spread2: Arra
 
 
 @compiled
-def _weigh(block: Array, start: int, weights: Array, at: int, out: Array) -> None:
+def _weigh(block: Array, start: int, weights: Array, column: int, out: Array) -> None:
     """Write the sum of `SPREAD` rows of a matrix from `start` on, in the columns from `at` on, by their weights."""
     size = out.size
     for m in range(size):
         out[m] = 0.0
     for a in range(0, SPREAD, 4):
         w0, w1, w2, w3 = weights[a], weights[a + 1], weights[a + 2], weights[a + 3]
-        l0, l1 = block[start + a, at : at + size], block[start + a + 1, at : at + size]
-        l2, l3 = block[start + a + 2, at : at + size], block[start + a + 3, at : at + size]
+        l0, l1 = block[start + a, column : column + size], block[start + a + 1, column : column + size]
+        l2, l3 = block[start + a + 2, column : column + size], block[start + a + 3, column : column + size]
         for m in range(size):
             out[m] += w0 * l0[m] + w1 * l1[m] + w2 * l2[m] + w3 * l3[m]
 
 
 @compiled
-def dot(one: Array, other: Array) -> float:
+def dot(a: Array, b: Array) -> float:
     """Scalar product, in four sums side by side."""
-    whole = one.size - one.size % 4
+    whole = a.size - a.size % 4
     s0 = s1 = s2 = s3 = 0.0
     for m in range(0, whole, 4):
-        s0 += one[m] * other[m]
-        s1 += one[m + 1] * other[m + 1]
-        s2 += one[m + 2] * other[m + 2]
-        s3 += one[m + 3] * other[m + 3]
-    for m in range(whole, one.size):
-        s0 += one[m] * other[m]
+        s0 += a[m] * b[m]
+        s1 += a[m + 1] * b[m + 1]
+        s2 += a[m + 2] * b[m + 2]
+        s3 += a[m + 3] * b[m + 3]
+    for m in range(whole, a.size):
+        s0 += a[m] * b[m]
     return (s0 + s1) + (s2 + s3)
 
 
 @compiled
 def _spread(influence: Influence, moving: Moving, slot: int, disc: int, curve: int, position: float, by: float) -> None:
     """Write the forces that stand for a moving slot's, after its direction; `by` is dposition/dθ, in steps."""
-    places = influence.curve_places[disc, curve]
-    at = position - influence.curve_first[disc, curve]
-    at -= math.floor(at / places) * places
-    below = math.floor(at)
-    share = at - below
-    piece = int(below) % places
-    start = influence.curve_at[disc, curve] + 2 * ((piece - 2) % places)
+    points = influence.curve_points[disc, curve]
+    along = position - influence.curve_first[disc, curve]
+    along -= math.floor(along / points) * points
+    below = math.floor(along)
+    share = along - below
+    piece = int(below) % points
+    start = influence.curve_offset[disc, curve] + 2 * ((piece - 2) % points)
     moving.start[slot] = start
     direction = moving.direction[slot]
     fx, fy, rx, ry = direction[0], direction[1], direction[2], direction[3]
@@ -420,7 +420,7 @@ def _move_pin(influence: Influence, moving: Moving, slot: int, disc: int, pin: i
     cubic = influence.arc[piece]
     value = ((cubic[0] * share + cubic[1]) * share + cubic[2]) * share + cubic[3]
     slope = (3.0 * cubic[0] * share + 2.0 * cubic[1]) * share + cubic[2]
-    steps = influence.curve_places[disc, 0] // teeth
+    steps = influence.curve_points[disc, 0] // teeth
     position = (alpha / pitch + value) * steps
     _spread(influence, moving, slot, disc, 0, position, steps * (1.0 + slope * _ARCS) / (pitch * teeth))
 
@@ -434,8 +434,8 @@ def _move_roller(influence: Influence, moving: Moving, slot: int, disc: int, rol
     direction = moving.direction[slot]
     direction[0], direction[1], direction[2], direction[3] = c, s, -s * rate, c * rate
     if influence.between.size > 0:
-        places = influence.curve_places[disc, 1 + roller]
-        _spread(influence, moving, slot, disc, 1 + roller, angle / turn * places, rate / turn * places)
+        points = influence.curve_points[disc, 1 + roller]
+        _spread(influence, moving, slot, disc, 1 + roller, angle / turn * points, rate / turn * points)
 
 
 @compiled
@@ -447,26 +447,26 @@ def _disc_of(influence: Influence, slot: int) -> int:
 
 
 @compiled
-def _of_others(influence: Influence, moving: Moving, one: int, other: int, crank_angle: float, rate: bool) -> float:
+def _of_others(influence: Influence, moving: Moving, slot: int, slot2: int, crank_angle: float, rate: bool) -> float:
     """Influence between two moving slots by other bodies than a disc, m/N, or its derivative by the crank angle."""
-    of_pin, of_ring, of_output_pin = parts_of_others(influence, moving, one, other, crank_angle, rate)
+    of_pin, of_ring, of_output_pin = parts_of_others(influence, moving, slot, slot2, crank_angle, rate)
     return of_pin + of_ring + of_output_pin
 
 
 @compiled
 def parts_of_others(
-    influence: Influence, moving: Moving, one: int, other: int, crank_angle: float, rate: bool
+    influence: Influence, moving: Moving, slot: int, slot2: int, crank_angle: float, rate: bool
 ) -> tuple[float, float, float]:
     """Influence between two moving slots by pins, ring and output pins, or its derivative by the crank angle."""
-    first, second = moving.direction[one], moving.direction[other]
-    if one < influence.arms_slot and other < influence.arms_slot:
+    first, second = moving.direction[slot], moving.direction[slot2]
+    if slot < influence.arms_slot and slot2 < influence.arms_slot:
         pins, value, of_pin = influence.teeth + 1, 0.0, 0.0
-        pin, pin2 = one % pins, other % pins
+        pin, pin2 = slot % pins, slot2 % pins
         if influence.pin.size > 0 and pin == pin2:
             cosine = first[0] * second[0] + first[1] * second[1]
             if rate:
                 cosine = first[2] * second[0] + first[3] * second[1] + first[0] * second[2] + first[1] * second[3]
-            of_pin = influence.pin[one // pins, other // pins] * cosine
+            of_pin = influence.pin[slot // pins, slot2 // pins] * cosine
         if influence.ring.size > 0:
             gamma = -crank_angle / influence.teeth
             c, s = math.cos(gamma), math.sin(gamma)
@@ -476,23 +476,23 @@ def parts_of_others(
                 c * second[0] - s * second[1],
                 s * second[0] + c * second[1],
             )
-            at, at2, seats = 2 * pin, 2 * pin2, influence.ring
+            row, column, seats = 2 * pin, 2 * pin2, influence.ring
             if rate:
                 turning = -1.0 / influence.teeth
                 dax, day = c * first[2] - s * first[3] - turning * ay, s * first[2] + c * first[3] + turning * ax
                 dbx, dby = c * second[2] - s * second[3] - turning * by, s * second[2] + c * second[3] + turning * bx
-                value += dax * (seats[at, at2] * bx + seats[at, at2 + 1] * by)
-                value += day * (seats[at + 1, at2] * bx + seats[at + 1, at2 + 1] * by)
-                value += ax * (seats[at, at2] * dbx + seats[at, at2 + 1] * dby)
-                value += ay * (seats[at + 1, at2] * dbx + seats[at + 1, at2 + 1] * dby)
+                value += dax * (seats[row, column] * bx + seats[row, column + 1] * by)
+                value += day * (seats[row + 1, column] * bx + seats[row + 1, column + 1] * by)
+                value += ax * (seats[row, column] * dbx + seats[row, column + 1] * dby)
+                value += ay * (seats[row + 1, column] * dbx + seats[row + 1, column + 1] * dby)
             else:
-                value += ax * (seats[at, at2] * bx + seats[at, at2 + 1] * by)
-                value += ay * (seats[at + 1, at2] * bx + seats[at + 1, at2 + 1] * by)
+                value += ax * (seats[row, column] * bx + seats[row, column + 1] * by)
+                value += ay * (seats[row + 1, column] * bx + seats[row + 1, column + 1] * by)
         return of_pin, value, 0.0
-    if one >= influence.rollers_slot and other >= influence.rollers_slot and influence.output_pin.size > 0:
-        at, at2 = one - influence.rollers_slot, other - influence.rollers_slot
-        if not rate and at % influence.rollers == at2 % influence.rollers:
-            disc, disc2 = at // influence.rollers, at2 // influence.rollers
+    if slot >= influence.rollers_slot and slot2 >= influence.rollers_slot and influence.output_pin.size > 0:
+        roller, roller2 = slot - influence.rollers_slot, slot2 - influence.rollers_slot
+        if not rate and roller % influence.rollers == roller2 % influence.rollers:
+            disc, disc2 = roller // influence.rollers, roller2 // influence.rollers
             # The angle between two eccentrics.
             cosine = math.cos(2.0 * math.pi * (disc - disc2) / influence.clocking.size)
             return 0.0, 0.0, influence.output_pin[disc, disc2] * cosine
@@ -529,8 +529,8 @@ def get_known(influence: Influence, moving: Moving, slot: int) -> None:
     start, spread, row = moving.start[slot], moving.spread[slot], matrix[slot]
     if elastic:
         block, fixed = influence.between[disc], influence.arms * influence.sectors
-        first, at = influence.arms_slot + disc * fixed, influence.arms_at[disc]
-        _weigh(block, start, spread, at, row[first : first + fixed])
+        first, column = influence.arms_slot + disc * fixed, influence.arms_offset[disc]
+        _weigh(block, start, spread, column, row[first : first + fixed])
     for i in range(moving.known_count[0]):
         other, value = moving.known[i], 0.0
         if influence.coupled:
@@ -543,13 +543,13 @@ def get_known(influence: Influence, moving: Moving, slot: int) -> None:
 
 
 @compiled(inline=True)
-def entry(influence: Influence, moving: Moving, one: int, other: int) -> float:
+def entry(influence: Influence, moving: Moving, slot: int, slot2: int) -> float:
     """Influence between two slots, m/N, each fixed or known."""
-    if influence.arms_slot <= one < influence.rollers_slot and not (
-        influence.arms_slot <= other < influence.rollers_slot
+    if influence.arms_slot <= slot < influence.rollers_slot and not (
+        influence.arms_slot <= slot2 < influence.rollers_slot
     ):
-        return float(moving.matrix[other, one])
-    return float(moving.matrix[one, other])
+        return float(moving.matrix[slot2, slot])
+    return float(moving.matrix[slot, slot2])
 
 
 @compiled
@@ -565,13 +565,17 @@ def add_rates(influence: Influence, moving: Moving, force: Array, out: Array) ->
         disc = _disc_of(influence, slot)
         start, rate = moving.start[slot], moving.rate[slot]
         if elastic:
-            block, first, at = influence.between[disc], influence.arms_slot + disc * fixed, influence.arms_at[disc]
+            block, first, column = (
+                influence.between[disc],
+                influence.arms_slot + disc * fixed,
+                influence.arms_offset[disc],
+            )
             pressed = force[slot]
             for a in range(SPREAD):
                 line, along, weight = block[start + a], 0.0, pressed * rate[a]
                 for m in range(fixed):
-                    along += line[at + m] * force[first + m]
-                    out[first + m] += line[at + m] * weight
+                    along += line[column + m] * force[first + m]
+                    out[first + m] += line[column + m] * weight
                 out[slot] += rate[a] * along
         for k in range(moving.known_count[0]):
             other, value = moving.known[k], 0.0
@@ -611,8 +615,12 @@ def rate_of_energy(influence: Influence, moving: Moving, force: Array) -> float:
                 between = _of_others(influence, moving, slot, other, crank_angle, True)
                 total += 0.5 * between * force[other] * pressed
         if elastic:
-            block, first, at = influence.between[disc], influence.arms_slot + disc * fixed, influence.arms_at[disc]
-            _weigh(block, start, moving.rate[slot], at, moving.sums)
+            block, first, column = (
+                influence.between[disc],
+                influence.arms_slot + disc * fixed,
+                influence.arms_offset[disc],
+            )
+            _weigh(block, start, moving.rate[slot], column, moving.sums)
             total += pressed * dot(moving.sums, force[first : first + fixed])
             for k in range(i):
                 other = moving.known[k]
@@ -622,17 +630,17 @@ def rate_of_energy(influence: Influence, moving: Moving, force: Array) -> float:
 
 
 @compiled(inline=True)
-def _rate_between(block: Array, moving: Moving, one: int, other: int) -> float:
+def _rate_between(block: Array, moving: Moving, slot: int, slot2: int) -> float:
     """Derivative of what two loaded slots displace each other by, times their forces."""
-    start, start2, along = moving.start[one], moving.start[other], on_stack(_ALONG)
-    loaded, rate = moving.loaded[one], moving.loaded_rate[one]
+    start, start2, along = moving.start[slot], moving.start[slot2], on_stack(_ALONG)
+    loaded, rate = moving.loaded[slot], moving.loaded_rate[slot]
     for a in range(SPREAD):
         weight, weight_rate = loaded[a], rate[a]
         line = block[start + a, start2 : start2 + SPREAD]
         for b in range(SPREAD):
             along.value[b] += weight_rate * line[b]
             along.other[b] += weight * line[b]
-    value, loaded, rate = 0.0, moving.loaded[other], moving.loaded_rate[other]
+    value, loaded, rate = 0.0, moving.loaded[slot2], moving.loaded_rate[slot2]
     for b in range(SPREAD):
         value += along.value[b] * loaded[b] + along.other[b] * rate[b]
     return value

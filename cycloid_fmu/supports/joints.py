@@ -101,14 +101,14 @@ class Work(NamedTuple):
 
     Attributes
     ----------
-    place, residual, step, before, jump
-        Shape (unknowns,): the unknowns q, residual, step, start of the step, and last jump within a step.
+    coordinates, residual, step, before, jump
+        Shape (unknowns,): generalised coordinates q, residual, step, start of the step, and last jump within a step.
     jacobian, matrix
         Derivatives of the residual, and the matrix of the linear solution, shape (unknowns, unknowns).
     axes
         Directions of each body's x-axis and of its eccentric: see `orient`. Shape (bodies, 4).
-    at, by
-        Indices of the unknowns that move one joint, shape (`UNKNOWNS`,), and derivatives of its displacement by them,
+    indices, by
+        Which coordinates move one joint, shape (`UNKNOWNS`,), and derivatives of its displacement by them,
         shape (2, `UNKNOWNS`): see `derivatives`.
     pose, moved
         Last position of each disc, shape (discs, 3), and motion of the discs since all pins were solved, shape (1,), m.
@@ -116,7 +116,7 @@ class Work(NamedTuple):
         Memory of the ports of elastic bodies; None without any.
     """
 
-    place: Array
+    coordinates: Array
     residual: Array
     step: Array
     before: Array
@@ -124,7 +124,7 @@ class Work(NamedTuple):
     jacobian: Array
     matrix: Array
     axes: Array
-    at: NDArray[np.int64]
+    indices: NDArray[np.int64]
     by: Array
     pose: Array
     moved: Array
@@ -134,10 +134,10 @@ class Work(NamedTuple):
 def work_of(assembly: Assembly) -> Work:
     """Return uninitialized work arrays."""
     unknowns, discs = assembly.unknowns, int((assembly.bodies["rotation"] >= FIRST_DISC).sum())
-    place, residual, step, before, jump = np.zeros((5, unknowns))
+    coordinates, residual, step, before, jump = np.zeros((5, unknowns))
     jacobian, matrix = np.zeros((2, unknowns, unknowns))
     return Work(
-        place,
+        coordinates,
         residual,
         step,
         before,
@@ -176,19 +176,19 @@ class Reaction(NamedTuple):
 
 @compiled
 def orient(assembly: Assembly, crank_angle: float, work: Work) -> None:
-    """Write the direction of each body's x-axis, and that of a disc's ideal eccentric, at θ and `work.place`."""
+    """Write the direction of each body's x-axis, and that of a disc's ideal eccentric, at θ and `work.coordinates`."""
     for number in range(assembly.bodies.size):
         body, axes = assembly.bodies[number], work.axes[number]
         axes[0], axes[1] = 1.0, 0.0
         if body.rotation >= 0:
-            angle, crank = body.rate * crank_angle + work.place[body.rotation], crank_angle + body.crank_phase
+            angle, crank = body.rate * crank_angle + work.coordinates[body.rotation], crank_angle + body.crank_phase
             axes[0], axes[1], axes[2], axes[3] = math.cos(angle), math.sin(angle), math.cos(crank), math.sin(crank)
 
 
 @compiled
 def displacement(assembly: Assembly, joint: np.record, work: Work) -> Displacement:
     """Displacement of a joint after `orient`, computed from small terms, without cancellation."""
-    q, px, py = work.place, joint.place_x, joint.place_y
+    q, px, py = work.coordinates, joint.place_x, joint.place_y
     outer, inner = assembly.bodies[int(joint.outer)], assembly.bodies[int(joint.inner)]
     seat = assembly.bodies[int(joint.seat)]
     axes, seat_axes = work.axes[int(joint.outer)], work.axes[int(joint.seat)]
@@ -226,7 +226,7 @@ def displacement(assembly: Assembly, joint: np.record, work: Work) -> Displaceme
 @compiled
 def _by_shift(work: Work, column: int, unknown: int, sign: float) -> int:
     """Set the derivatives by two unknowns that shift a displacement directly; return the next column."""
-    work.at[column], work.at[column + 1] = unknown, unknown + 1
+    work.indices[column], work.indices[column + 1] = unknown, unknown + 1
     work.by[0, column], work.by[1, column] = sign, 0.0
     work.by[0, column + 1], work.by[1, column + 1] = 0.0, sign
     return column + 2
@@ -236,7 +236,7 @@ def _by_shift(work: Work, column: int, unknown: int, sign: float) -> int:
 def derivatives(assembly: Assembly, joint: np.record, d: Displacement, work: Work) -> int:
     """Write the unknowns that move a joint and the derivatives of d by them into `work`; return their number."""
     outer, inner = assembly.bodies[int(joint.outer)], assembly.bodies[int(joint.inner)]
-    seat, at, by = assembly.bodies[int(joint.seat)], work.at, work.by
+    seat, index, by = assembly.bodies[int(joint.seat)], work.indices, work.by
     count, carried = 0, inner.on == joint.outer
     if outer.shift >= 0 and not carried:
         count = _by_shift(work, count, outer.shift, 1.0)
@@ -245,10 +245,10 @@ def derivatives(assembly: Assembly, joint: np.record, d: Displacement, work: Wor
     if seat.shift >= 0 and joint.seat != joint.inner and not carried:
         count = _by_shift(work, count, seat.shift, -1.0)
     if outer.rotation >= 0:
-        at[count], by[0, count], by[1, count] = outer.rotation, -d.outer_y, d.outer_x
+        index[count], by[0, count], by[1, count] = outer.rotation, -d.outer_y, d.outer_x
         count += 1
     if seat.rotation >= 0:
-        at[count], by[0, count], by[1, count] = seat.rotation, d.inner_y, -d.inner_x
+        index[count], by[0, count], by[1, count] = seat.rotation, d.inner_y, -d.inner_x
         count += 1
     return count
 
@@ -315,7 +315,7 @@ def add_turning(
     vx, vy = turning_motion(assembly, joint, d, work)
     gx, gy = change(d, acting, vx, vy)
     for i in range(unknowns):
-        by_angle[work.at[i]] += work.by[0, i] * gx + work.by[1, i] * gy
+        by_angle[work.indices[i]] += work.by[0, i] * gx + work.by[1, i] * gy
     fx, fy = acting.force * d.normal_x, acting.force * d.normal_y
     turn_levers(assembly, joint, d, fx, fy, by_angle)
     return float(fx * vx + fy * vy)

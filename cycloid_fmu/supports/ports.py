@@ -90,7 +90,7 @@ class Ports(NamedTuple):
         Influence between the ports under load, shape (ports, ports), m/N.
     factor
         Upper factor R of RᵀR = C + D⁻¹ between them, shape (ports, ports).
-    by_place
+    by_coordinate
         Derivatives of the approaches of ports under load by the unknowns, shape (ports, unknowns).
     forward, stiffness
         R⁻ᵀ of these, and AᵀSA, the product of it with its transpose, columns filled up to whole vectors.
@@ -116,7 +116,7 @@ class Ports(NamedTuple):
     end: Indices
     between: Array
     factor: Array
-    by_place: Array
+    by_coordinate: Array
     forward: Array
     stiffness: Array
     right: Array
@@ -144,7 +144,7 @@ def ports_of(elastic: Elastic, unknowns: int) -> Ports:
         end=end,
         between=np.zeros((count, count)),
         factor=np.zeros((count, count)),
-        by_place=np.zeros((count, unknowns)),
+        by_coordinate=np.zeros((count, unknowns)),
         forward=np.zeros((count, width)),
         stiffness=np.zeros((width, width)),
         right=np.zeros(count),

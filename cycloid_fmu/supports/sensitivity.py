@@ -80,9 +80,9 @@ def add_mesh(problem: Problem, assembly: Assembly, crank_angle: float, contacts:
         contact_ = contacts[number]
         if contact_.force <= 0.0:
             continue
-        local = contact.local_frame(problem, crank_angle, work.place[0], contacts, number)
-        along, at = gap_gradient(local), FIRST_DISC + 3 * local.disc
-        weights = (row[at], row[at + 1], row[at + 2])
+        local = contact.local_frame(problem, crank_angle, work.coordinates[0], contacts, number)
+        along, first = gap_gradient(local), FIRST_DISC + 3 * local.disc
+        weights = (row[first], row[first + 1], row[first + 2])
         closing = projection(weights, along.gap)
         by_force = closing_of(assembly.elastic, work.ports, number, contact_.stiffness, closing)
         by_position = stiffness_along(contact_, local, along, weights, by_force)
@@ -93,7 +93,7 @@ def add_mesh(problem: Problem, assembly: Assembly, crank_angle: float, contacts:
 
 
 @compiled
-def _by_place(
+def _by_position(
     d: Displacement, acting: Reaction, pull: Pull, ux: float, uy: float, lx: float, ly: float, turn: float
 ) -> float:
     """λ·∂r for a motion of the outer body's place along u; `turn` is λ for its rotation."""
@@ -117,7 +117,7 @@ def add_joints(assembly: Assembly, crank_angle: float, work: Work, by_joint: Arr
 
     Return λ·∂r/∂θ, without what is added to `work.residual`.
     """
-    row, at, by, turning = work.step, work.at, work.by, 0.0
+    row, index, by, turning = work.step, work.indices, work.by, 0.0
     for number in range(assembly.joints.size):
         joint, out = assembly.joints[number], by_joint[number]
         d = displacement(assembly, joint, work)
@@ -127,8 +127,8 @@ def add_joints(assembly: Assembly, crank_angle: float, work: Work, by_joint: Arr
         unknowns = derivatives(assembly, joint, d, work)
         lx = ly = 0.0  # λ·∂d/∂q
         for i in range(unknowns):
-            lx += by[0, i] * row[at[i]]
-            ly += by[1, i] * row[at[i]]
+            lx += by[0, i] * row[index[i]]
+            ly += by[1, i] * row[index[i]]
         pull = pull_of(assembly, assembly.elastic, work.ports, crank_angle, number, d, lx, ly)
         if pull.through_bodies:
             turning += _turn_pulled(assembly, joint, d, pull, work)
@@ -142,15 +142,15 @@ def add_joints(assembly: Assembly, crank_angle: float, work: Work, by_joint: Arr
         outer, seat = assembly.bodies[int(joint.outer)].rotation, assembly.bodies[int(joint.seat)].rotation
         turned, carried = row[outer] if outer >= 0 else 0.0, row[seat] if seat >= 0 else 0.0
         c, s = work.axes[int(joint.outer), 0], work.axes[int(joint.outer), 1]
-        out[OUTER] -= _by_place(d, acting, pull, c, s, lx, ly, turned)
-        out[OUTER + 1] -= _by_place(d, acting, pull, -s, c, lx, ly, turned)
+        out[OUTER] -= _by_position(d, acting, pull, c, s, lx, ly, turned)
+        out[OUTER + 1] -= _by_position(d, acting, pull, -s, c, lx, ly, turned)
         c, s = work.axes[int(joint.seat), 0], work.axes[int(joint.seat), 1]
-        out[INNER] += _by_place(d, acting, pull, c, s, lx, ly, carried)
-        out[INNER + 1] += _by_place(d, acting, pull, -s, c, lx, ly, carried)
+        out[INNER] += _by_position(d, acting, pull, c, s, lx, ly, carried)
+        out[INNER + 1] += _by_position(d, acting, pull, -s, c, lx, ly, carried)
         if joint.eccentricity > 0.0:
             ex, ey = eccentric(joint, work)
-            out[THROW] += _by_place(d, acting, pull, ex, ey, lx, ly, 0.0) / math.hypot(ex, ey)
-            out[PHASE] += _by_place(d, acting, pull, -ey, ex, lx, ly, 0.0)
+            out[THROW] += _by_position(d, acting, pull, ex, ey, lx, ly, 0.0) / math.hypot(ex, ey)
+            out[PHASE] += _by_position(d, acting, pull, -ey, ex, lx, ly, 0.0)
         if pull.through_bodies:
             out[PLAY] += pull.play
             out[STIFFNESS] -= pull.stiffness
@@ -169,7 +169,7 @@ def sweep_supported_sensitivities(
     assembly: Assembly,
     crank_angles: Array,
     torques: Array,
-    places: Array,
+    coordinates: Array,
     results: Derivatives,
     work: Work,
 ) -> bool:
@@ -184,8 +184,8 @@ def sweep_supported_sensitivities(
     """
     contacts = contact.contact_rows(problem)
     for i in range(crank_angles.size):
-        for k in range(work.place.size):
-            work.place[k] = places[i, k]
+        for k in range(work.coordinates.size):
+            work.coordinates[k] = coordinates[i, k]
         work.moved[0] = math.inf
         assemble(problem, assembly, crank_angles[i], Load(torques[i], 0.0, 0.0, CENTRING), contacts, work, None)
         for k in range(work.step.size):

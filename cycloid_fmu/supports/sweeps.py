@@ -24,7 +24,7 @@ class Solutions(NamedTuple):
     """
 
     steps: NDArray[np.int64]
-    place: Array
+    coordinates: Array
     stiffness: Array
     crank_torque: Array
     contact_count: NDArray[np.int64]
@@ -50,13 +50,13 @@ def _forces(problem: Problem, assembly: Assembly, work: Work, force: Array) -> f
 
 
 @compiled
-def follow_neighbours(crank_angles: Array, place: Array, i: int, q: Array) -> bool:
+def follow_neighbours(crank_angles: Array, coordinates: Array, i: int, q: Array) -> bool:
     """Move the last unknowns in line with those of two crank angles before; return whether they are near enough."""
     step = abs(crank_angles[i] - crank_angles[i - 1]) if i > 0 else math.inf
     if i > 1 and step < 1.5 * abs(crank_angles[i - 1] - crank_angles[i - 2]) < NEIGHBOUR:
         share = (crank_angles[i] - crank_angles[i - 1]) / (crank_angles[i - 1] - crank_angles[i - 2])
         for k in range(q.size):
-            q[k] += share * (q[k] - place[i - 2, k])
+            q[k] += share * (q[k] - coordinates[i - 2, k])
     return step < NEIGHBOUR
 
 
@@ -65,8 +65,8 @@ def write_solution(
     problem: Problem, assembly: Assembly, contacts: Rows, work: Work, results: Solutions, i: int
 ) -> None:
     """Write the balance at a crank angle: unknowns, stiffness, forces of the joints and the load sharing."""
-    for k in range(work.place.size):
-        results.place[i, k] = work.place[k]
+    for k in range(work.coordinates.size):
+        results.coordinates[i, k] = work.coordinates[k]
     results.stiffness[i] = torsional_stiffness(problem, assembly, work)
     share_compliance(assembly, assembly.elastic, work.ports, work, work.step, results.compliance[i])
     results.crank_torque[i] = _forces(problem, assembly, work, results.force[i])
@@ -86,10 +86,10 @@ def sweep_supported(
 ) -> None:
     """Solve crank angles, each at its torque and starting from its neighbour, and write contact lines on request."""
     contacts = contact.contact_rows(problem)
-    q = work.place
+    q = work.coordinates
     for i in range(crank_angles.size):
         crank_angle = crank_angles[i]
-        follows = follow_neighbours(crank_angles, results.place, i, q)
+        follows = follow_neighbours(crank_angles, results.coordinates, i, q)
         pull = Load(torques[i], 0.0, 0.0, CENTRING)
         results.steps[i] = settle(problem, assembly, crank_angle, pull, contacts, work, None, not follows)
         write_solution(problem, assembly, contacts, work, results, i)
@@ -99,7 +99,7 @@ def sweep_supported(
 
 @compiled
 def sweep_interference(
-    problem: Problem, crank_angles: Array, place: Array, pressed: Array, interference: Array
+    problem: Problem, crank_angles: Array, coordinates: Array, pressed: Array, interference: Array
 ) -> None:
     """Write how far flanks and pins overlap that no rotation of the output frees, at solved positions of the bodies.
 
@@ -115,11 +115,11 @@ def sweep_interference(
     contacts = contact.contact_rows(problem)
     for i in range(crank_angles.size):
         if pressed[i] > 0.0:
-            x = place[i, 0]
+            x = coordinates[i, 0]
             for disc in range(problem.shift_x.size):
-                at = FIRST_DISC + 3 * disc
-                problem.shift_x[disc], problem.shift_y[disc] = place[i, at], place[i, at + 1]
-                problem.turn[disc] = place[i, at + 2] - x
+                first = FIRST_DISC + 3 * disc
+                problem.shift_x[disc], problem.shift_y[disc] = coordinates[i, first], coordinates[i, first + 1]
+                problem.turn[disc] = coordinates[i, first + 2] - x
             _, _, overlap = contact.play(problem, crank_angles[i], x, contacts, True)
             # A pin first takes up the clearance of its seat.
             interference[i] = max(overlap - problem.seat_gap, 0.0)

@@ -115,7 +115,7 @@ def empty(pair: Pair, loads: int, angles: int) -> Solutions:
     pins = (*grid, discs, pair.pins)
     return Solutions(
         steps=np.zeros(grid, dtype=np.int64),
-        place=np.zeros((*grid, 3 + 3 * discs + 2 * cranks)),
+        coordinates=np.zeros((*grid, 3 + 3 * discs + 2 * cranks)),
         stiffness=np.zeros(grid),
         crank_torque=np.zeros(grid),
         contact_count=np.zeros(grid, dtype=np.int64),
@@ -149,8 +149,8 @@ def solve(drive: DriveValue, torque: Array, crank_angle: Array, options: Options
 
     lines = transmission.no_lines(len(torques))
     if options.with_elements:
-        places = (len(torques), angles.size, pair.discs, pair.pins)
-        lines = transmission.empty_lines(drive, options.slices, places)
+        grid = (len(torques), angles.size, pair.discs, pair.pins)
+        lines = transmission.empty_lines(drive, options.slices, grid)
     solutions = empty(pair, len(at_angles), angles.size)
 
     def result(done: slice) -> OnBearings:
@@ -203,8 +203,8 @@ def _solve(
     )
     for k, torque in enumerate(torques):
         if not solutions.steps[k].all():
-            at = int(np.argmin(solutions.steps[k]))
-            raise _unbalanced(torque[at], angles[at])
+            unsolved = int(np.argmin(solutions.steps[k]))
+            raise _unbalanced(torque[unsolved], angles[unsolved])
 
 
 def with_own_discs(mesh: Problem) -> Problem:
@@ -258,7 +258,7 @@ def _interference(mesh: Problem, angles: Array, solutions: Solutions) -> Array:
     sweep_interference(
         with_own_discs(mesh),
         angles,
-        np.ascontiguousarray(solutions.place[0]),
+        np.ascontiguousarray(solutions.coordinates[0]),
         solutions.pin_force[0].max(axis=(-1, -2)),
         interference,
     )
@@ -290,7 +290,7 @@ def results(
     """
     lines = transmission.no_lines(len(torques)) if lines is None else lines
     interference = np.full(angles.size, np.nan) if interference is None else interference
-    transmission_error, stiffness = solutions.place[..., 0], solutions.stiffness
+    transmission_error, stiffness = solutions.coordinates[..., 0], solutions.stiffness
     low = high = np.full(angles.size, np.nan)
     preload = count = None
     if first:
@@ -319,9 +319,9 @@ def results(
         *lines[:4],
         preload=preload,
         preload_count=count,
-        disc_shift_x=loaded.place[..., 3 : 3 + 3 * discs : 3],
-        disc_shift_y=loaded.place[..., 4 : 3 + 3 * discs : 3],
-        disc_turn=loaded.place[..., 5 : 3 + 3 * discs : 3] - loaded.place[..., :1],
+        disc_shift_x=loaded.coordinates[..., 3 : 3 + 3 * discs : 3],
+        disc_shift_y=loaded.coordinates[..., 4 : 3 + 3 * discs : 3],
+        disc_turn=loaded.coordinates[..., 5 : 3 + 3 * discs : 3] - loaded.coordinates[..., :1],
         turning_arm_force=force["turning_arm"],
         crank_bearing_force=force["crank_shaft"],
         main_bearing_force=force["main"],
@@ -354,10 +354,10 @@ def sensitivity(drive: DriveValue, torque: Array, crank_angle: Array, slices: in
         assembly,
         angles,
         at_angles,
-        solutions.place[0],
+        solutions.coordinates[0],
         Derivatives(by_displacement, by_joint, by_angle, by_torque),
         work_of(assembly),
     ):
         raise _unbalanced(float(at_angles[0]), angles[0])
     laws = add_by_displacements(pair, by_joint, by_displacement)
-    return Sensitivity(solutions.place[0, :, 0].copy(), by_displacement, by_angle, by_torque, laws)
+    return Sensitivity(solutions.coordinates[0, :, 0].copy(), by_displacement, by_angle, by_torque, laws)

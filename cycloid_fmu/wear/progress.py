@@ -368,7 +368,7 @@ def _part_of_rate(model: WearModel, drive: contact.Problem, load: Load, crank_an
     cells = depth.gear.shape[2]
     ends = np.concatenate([[0.0], np.arange(cells) + 0.5, [cells]])
     assert drive.deviations is not None  # a wearing surface has elements
-    place = np.interp(contacts.place, drive.deviations.flank_alpha, ends)
+    place = np.interp(contacts.profile_parameter, drive.deviations.flank_alpha, ends)
     # Elements of a disc's teeth in a row for each slice: a contact at a root is on both of its teeth.
     rows = np.zeros((depth.gear.shape[0] * depth.gear.shape[3], drive.teeth * cells))
     _deposit(

@@ -17,7 +17,7 @@ from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.fmu import native as native_build
 from cycloid_fmu.fmu.build import build_fmu, completed
 from cycloid_fmu.fmu.chain import own_stiffness, read_loop, with_chain
-from cycloid_fmu.fmu.run import told
+from cycloid_fmu.fmu.run import description_of
 from cycloid_fmu.fmu.variables import Interface
 from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.reducer.lost_motion import parts_of
@@ -159,7 +159,7 @@ def test_every_fmu_says_how_stiff_it_is(tmp_path):
     for name, more in (("2", ""), ("3", ", 29.09 with the start value of series_compliance")):
         description = fmpy.read_model_description(str(tmp_path / f"{name}.fmu"))
         text = f"mesh alone, rigid bodies: {number}{more}"
-        assert told(tmp_path / f"{name}.fmu").endswith(text)
+        assert description_of(tmp_path / f"{name}.fmu").endswith(text)
         (variable,) = (v for v in description.modelVariables if v.name == "torsional_stiffness")
         assert variable.description.endswith(text)
     held = read_pair(EXAMPLES / "drive-39-40-bearings.toml")

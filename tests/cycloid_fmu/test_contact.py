@@ -72,11 +72,32 @@ def test_moment_arm_of_the_ideal_pair():
     drive = rigid_problem(DriveValue(make_pair(), nominal_surface(make_pair())))
     contacts = contact.contact_rows(drive)
     theta = 0.3
-    contact.place(drive, theta, 0.0, contacts, True, np.inf, np.inf)
+    contact.place_contacts(drive, theta, 0.0, contacts, True, np.inf, np.inf)
     phi = 2 * np.pi * np.arange(40) / 40 - theta
     k = 1.3 * 40 / 64
     arm = 1.3e-3 * 39 * np.sin(phi) / np.sqrt(1 + k * k - 2 * k * np.cos(phi))
     assert contacts["arm"][::2] == pytest.approx(arm, abs=1e-12)
+
+
+@pytest.mark.parametrize("output", ["gear", "ring"])
+@pytest.mark.parametrize("cold", [True, False])
+def test_arms_on_teeth_that_pitch_errors_turn_are_the_fall_of_their_gaps(output, cold):
+    """-∂g/∂x and ∂g/∂θ by differences; a ring's arm is about its own centre, seen from the tooth as the pin is."""
+    _, drive, rows = drive_and_rows("errors-39-40", output)
+    turned = np.random.default_rng(4).uniform(-2e-4, 2e-4, drive.tooth_turn.shape)  # 13 µm
+    drive, theta, x, step = drive._replace(tooth_turn=turned), 0.3, 1e-4, 2e-7
+
+    def placed(theta, x, field="gap"):
+        contact.place_contacts(drive, theta, x, rows, cold, math.inf, math.inf)
+        return rows[field][::2].copy()
+
+    contact.place_contacts(drive, theta, x, rows, True, math.inf, math.inf)
+    arm, by_crank = placed(theta, x, "arm"), placed(theta, x, "gap_by_crank")
+    fall = (placed(theta, x - step) - placed(theta, x + step)) / (2.0 * step)
+    rise = (placed(theta + step, x) - placed(theta - step, x)) / (2.0 * step)
+    assert np.abs(arm).max() > 0.03
+    assert arm == pytest.approx(fall, abs=1e-8)
+    assert by_crank == pytest.approx(rise, abs=1e-8)
 
 
 def test_linear_check_of_the_load_sharing():
@@ -88,7 +109,7 @@ def test_linear_check_of_the_load_sharing():
         pair = make_pair(eccentricity=eccentricity)
         drive = rigid_problem(DriveValue(pair, nominal_surface(pair)))
         contacts = contact.contact_rows(drive)
-        contact.place(drive, 0.3, 0.0, contacts, True, np.inf, np.inf)
+        contact.place_contacts(drive, 0.3, 0.0, contacts, True, np.inf, np.inf)
         arm = contacts["arm"][::2]
         arm = arm[arm > 0]
         assert arm.size == 20
@@ -245,15 +266,15 @@ def _assert_left_pins_clear(seed, teeth, k, size, step, sign, output):
     drive = rigid_problem(DriveValue(pair, surface))
     kept, anew = contact.contact_rows(drive), contact.contact_rows(drive)
     theta, x, clear = rng.uniform(0.0, 40.0), rng.normal(0.0, 50.0 * size), 5e-7
-    contact.place(drive, theta, x, kept, True, math.inf, math.inf)
+    contact.place_contacts(drive, theta, x, kept, True, math.inf, math.inf)
     for i in range(30):
         if i % 5 == 4:
             x += rng.normal(0.0, 5e-3)  # a flange that is thrown about
         else:
             theta += sign * step * rng.uniform(0.5, 1.0)
             x += rng.normal(0.0, size)
-        contact.place(drive, theta, x, kept, False, clear, math.inf)
-        contact.place(drive, theta, x, anew, True, math.inf, math.inf)
+        contact.place_contacts(drive, theta, x, kept, False, clear, math.inf)
+        contact.place_contacts(drive, theta, x, anew, True, math.inf, math.inf)
         smallest = np.minimum(anew["gap"][::2], anew["gap"][1::2])
         left = (kept["crank_angle"][::2] != theta) | (kept["transmission_error"][::2] != x)
         assert (smallest[left] > 0.8 * clear).all()  # by rotation a gap is foretold to second order
@@ -274,12 +295,12 @@ def test_an_equilibrium_s_contacts_are_those_solved_at_its_deviation(case, outpu
     for theta in np.linspace(0.0, 44.0, 800):
         x, _ = contact.equilibrium(drive, theta, -120.0, 0.0, rows, True)
         x, _ = contact.equilibrium(drive, theta, -120.0, x + 4e-7, rows, False)
-        contact.place(drive, theta, x, solved, True, math.inf, math.inf)
+        contact.place_contacts(drive, theta, x, solved, True, math.inf, math.inf)
         held = (rows["force"] > 0.0) & np.isfinite(solved["gap"])
         # Where the ring turns, arms leave out that a tooth with a pitch error turns the gear's centre.
         assert rows["gap"][held] == pytest.approx(solved["gap"][held], abs=2e-14 if output == "gear" else 2e-13)
         assert rows["arm"][held] == pytest.approx(solved["arm"][held], abs=1e-8)
-        tooth = rows["place"][held] * drive.teeth / (2.0 * np.pi)
+        tooth = rows["profile_parameter"][held] * drive.teeth / (2.0 * np.pi)
         edges += int((np.abs(tooth - np.rint(tooth)) < 1e-6).sum())
     assert edges > 0 or case == "errors-39-40"
 
@@ -401,7 +422,7 @@ def test_the_play_ends_where_flanks_touch(case, output):
     pair, drive, rows = drive_and_rows(case, output)
 
     def smallest(theta, x):
-        contact.place(drive, theta, x, rows, True, math.inf, math.inf)
+        contact.place_contacts(drive, theta, x, rows, True, math.inf, math.inf)
         return rows["gap"].min()
 
     for theta in (0.7, 41.3):
@@ -449,7 +470,7 @@ def test_interference_is_told_by_its_depth():
     assert math.isnan(high)
 
     def smallest(x):
-        contact.place(drive, 0.7, x, rows, True, math.inf, math.inf)
+        contact.place_contacts(drive, 0.7, x, rows, True, math.inf, math.inf)
         return rows["gap"].min()
 
     assert interference == pytest.approx(-max(smallest(x) for x in np.linspace(-3e-4, 3e-4, 121)), rel=0.05)
@@ -480,7 +501,7 @@ def test_slices_between_five_are_as_they_are_alone(slices):
     pair, _, _ = drive_and_rows("errors-39-40", "gear")
     drive = rigid_problem(DriveValue(pair, dataclasses.replace(surface_of_pair(pair), misalignment_xz=3e-4)), slices)
     together = contact.contact_rows(drive)
-    contact.place(drive, 0.3, 0.0, together, True, np.inf, np.inf)
+    contact.place_contacts(drive, 0.3, 0.0, together, True, np.inf, np.inf)
     together = together.reshape(slices, -1)
     between = np.arange(slices) * 4 % (slices - 1) > 0
     interpolated = 0
@@ -489,7 +510,7 @@ def test_slices_between_five_are_as_they_are_alone(slices):
             **{name: getattr(drive, name)[i : i + 1] for name in ("centre_x", "centre_y", "slice_z")}
         )
         rows = contact.contact_rows(alone)
-        contact.place(alone, 0.3, 0.0, rows, True, np.inf, np.inf)
+        contact.place_contacts(alone, 0.3, 0.0, rows, True, np.inf, np.inf)
         assert together[i]["gap"] == pytest.approx(rows["gap"], abs=1e-9)
         assert together[i]["arm"][::2] == pytest.approx(rows["arm"][::2], abs=1e-6)
         interpolated += np.count_nonzero(together[i]["gap"][::2] != rows["gap"][::2])

@@ -157,7 +157,7 @@ def test_gaps_and_feet_move_as_displacements_say(name):
 def placed(pair, surface, angle, x):
     problem = rigid_problem(DriveValue(pair, surface))
     rows = contact.contact_rows(problem)
-    contact.place(problem, angle, x, rows, True, np.inf, np.inf)
+    contact.place_contacts(problem, angle, x, rows, True, np.inf, np.inf)
     return rows
 
 

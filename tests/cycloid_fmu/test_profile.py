@@ -25,7 +25,7 @@ def test_unmodified_every_gap_is_zero_at_every_crank_angle(teeth, output):
     drive = rigid_problem(DriveValue(pair, nominal_surface(pair)))
     contacts = contact.contact_rows(drive)
     for theta in np.random.default_rng(teeth).uniform(-500.0, 500.0, 200 if teeth != 39 else 1000):
-        contact.place(drive, theta, 0.0, contacts, True, np.inf, np.inf)
+        contact.place_contacts(drive, theta, 0.0, contacts, True, np.inf, np.inf)
         gaps = contacts["gap"][::2]
         assert np.abs(gaps).max() < 1e-12  # 1 nm is asked for
 

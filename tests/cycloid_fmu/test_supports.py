@@ -523,7 +523,7 @@ def test_sensitivities_are_differences(kind):
     kinds, made_of = kinds_of(pair), displacements(pair, surface, {})
 
     def te(problem, assembly, torque=150.0, at=angles):
-        return swept(pair, problem, assembly, torque, at).place[:, 0]
+        return swept(pair, problem, assembly, torque, at).coordinates[:, 0]
 
     def check(by, plus, minus, scale=step):
         differences = (plus - minus) / (2.0 * scale)
@@ -607,7 +607,7 @@ def test_a_new_kind_of_joint_is_one_definition(kind):
     assert force["balls"].min() > 10.0
     assert force["pins"].max() > 100.0
     # The two main bearings displace alike and share the load by their laws, whatever these are.
-    length = np.hypot(*(found.place[:, 1:3] - [displaced["centre_x"], displaced["centre_y"]]).T)
+    length = np.hypot(*(found.coordinates[:, 1:3] - [displaced["centre_x"], displaced["centre_y"]]).T)
     assert force["balls"] == pytest.approx(4e10 * (length - 0.5e-6) ** 1.5, rel=1e-6)
     assert force["main"] == pytest.approx(1.2e9 * length, rel=1e-6)
 
@@ -615,7 +615,7 @@ def test_a_new_kind_of_joint_is_one_definition(kind):
     by_joint, by_angle, by_torque = np.zeros((3, assembly.joints.size, len(PARAMETERS))), *np.zeros((2, 3))
     by = Derivatives(each, by_joint, by_angle, by_torque)
     work, torques = work_of(assembly), np.full(3, 150.0)
-    assert sweep_supported_sensitivities(problem, assembly, angles, torques, found.place, by, work)
+    assert sweep_supported_sensitivities(problem, assembly, angles, torques, found.coordinates, by, work)
 
     def te(change=0.0, **changed):
         """Transmission error with a joint's or law's field of all new joints changed."""
@@ -624,7 +624,7 @@ def test_a_new_kind_of_joint_is_one_definition(kind):
             records = other.laws if field in LAW.names else other.joints
             new = slice(-2, None) if field in LAW.names else other.joints["law"] >= len(kinds) - 2
             records[field][new] = value(records[field][new])
-        return swept(pair, problem, other, 150.0 + change, angles).place[:, 0]
+        return swept(pair, problem, other, 150.0 + change, angles).coordinates[:, 0]
 
     new = assembly.joints["law"] >= len(kinds) - 2
     for at, name in enumerate(PARAMETERS[:7]):
@@ -638,7 +638,7 @@ def test_a_new_kind_of_joint_is_one_definition(kind):
     wanted = (ends[0] - ends[1]) / (2.0 * step)
     assert by_joint[:, new, CLEARANCE].sum(axis=1) == pytest.approx(wanted, rel=1e-4)
     assert by_torque == pytest.approx((te(0.01) - te(-0.01)) / 0.02, rel=1e-4)
-    around = [swept(pair, problem, assembly, 150.0, angles + d).place[:, 0] for d in (1e-6, -1e-6)]
+    around = [swept(pair, problem, assembly, 150.0, angles + d).coordinates[:, 0] for d in (1e-6, -1e-6)]
     assert by_angle == pytest.approx((around[0] - around[1]) / 2e-6, rel=1e-4, abs=1e-8)
 
 
@@ -659,7 +659,7 @@ def test_every_joint_is_its_energy_s_gradient(kind):
     for joint, q in itertools.product(assembly.joints, (drawn, -drawn)):
 
         def state(q, theta=theta, joint=joint):
-            work.place[:] = q
+            work.coordinates[:] = q
             orient(assembly, theta, work)
             d = displacement(assembly, joint, work)
             acting, count, force, turned = (
@@ -668,7 +668,7 @@ def test_every_joint_is_its_energy_s_gradient(kind):
                 *np.zeros((2, n)),
             )
             by = np.array([d.normal_x, d.normal_y]) @ work.by[:, :count]
-            np.add.at(force, work.at[:count], acting.force * by)
+            np.add.at(force, work.indices[:count], acting.force * by)
             rate = add_turning(assembly, joint, d, acting, work, count, turned)
             return stored_energy(assembly, joint, d, 10.0), force, rate, turned, acting.force
 

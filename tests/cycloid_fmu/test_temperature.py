@@ -129,7 +129,7 @@ def test_a_warm_disc_is_the_drawn_flank_enlarged():
     drive = rigid_problem(DriveValue.as_stated(warm))
     rows = contact.contact_rows(drive)
     theta = 0.3
-    contact.place(drive, theta, 0.0, rows, True, np.inf, np.inf)
+    contact.place_contacts(drive, theta, 0.0, rows, True, np.inf, np.inf)
     flank = np.array([1.0, 1.0j]) @ np.stack(flank_points(pair, np.linspace(0.0, 2.0 * np.pi, 400_001)))
     flank = flank * (1.0 + STEEL * 60.0) * np.exp(-1j * theta / 39.0) + 1.3e-3 * np.exp(1j * theta)
     axis = 64e-3 * np.exp(2j * np.pi * np.arange(40) / 40.0)

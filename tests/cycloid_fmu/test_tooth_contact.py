@@ -73,7 +73,7 @@ def test_at_its_own_transmission_error_a_pin_has_no_gap(output):
         near = np.abs(error) < 60 * ARCSEC
         assert near.sum() >= 8
         for pin in np.flatnonzero(near):
-            contact.place(drive, 0.3, error[pin], contacts, True, np.inf, np.inf)
+            contact.place_contacts(drive, 0.3, error[pin], contacts, True, np.inf, np.inf)
             row = 2 * pin + np.argmin(np.abs(contacts["gap"][2 * pin : 2 * pin + 2]))
             assert abs(contacts[row]["gap"]) < 1e-12
             assert side * contacts[row]["arm"] > 0
@@ -190,9 +190,9 @@ def test_closed_forms_against_differences_of_the_contact_point(output):
     def places(theta):
         """Contact points of all pins: in the gear's frame, and about the pin's axis in the ring's."""
         rows = contact.contact_rows(drive)
-        contact.place(drive, theta, 0.0, rows, True, np.inf, np.inf)
+        contact.place_contacts(drive, theta, 0.0, rows, True, np.inf, np.inf)
         assert np.abs(rows["gap"][::2]).max() < 1e-12
-        on_gear = np.array([1, 1j]) @ flank_points(pair, rows["place"][::2])
+        on_gear = np.array([1, 1j]) @ flank_points(pair, rows["profile_parameter"][::2])
         gear = 0.0 if output == "ring" else -theta / 39
         point = on_gear * np.exp(1j * gear) + drive.eccentricity * np.exp(1j * theta)
         return on_gear, point * np.exp(-1j * ring * theta) - drive.pin_x - 1j * drive.pin_y

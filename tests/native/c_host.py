@@ -121,7 +121,7 @@ def coarse(drive, accuracy):
 def native_of(folder, drive, made, interface):
     """A native FMU for this machine."""
     native_build.build_native(
-        drive, folder / "drive.fmu", interface=interface, made=made, platforms=[library.this_platform()]
+        drive, folder / "drive.fmu", interface=interface, drive_tables=made, platforms=[library.this_platform()]
     )
     return folder / "drive.fmu"
 

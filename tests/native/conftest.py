@@ -54,7 +54,7 @@ def built(drive, tmp_path_factory):
                 path,
                 interface=BUILT[kind],
                 fmi_version=version,
-                made=drive.tables,
+                drive_tables=drive.tables,
                 platforms=[library.this_platform()],
             )
             made[kind, version] = path

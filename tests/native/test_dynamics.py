@@ -255,7 +255,7 @@ def test_a_motor_inside_stops_in_its_friction_without_chattering(joint, kind):
 def test_a_joint_with_both_inertias_is_described_and_a_kinematic_one_has_none(drive, tmp_path, version):
     path = tmp_path / "joint.fmu"
     interface = Interface("compliant", ARM, crank_inertia=MOTOR)
-    native_build.build_native(drive, path, interface=interface, fmi_version=version, made=drive.tables)
+    native_build.build_native(drive, path, interface=interface, fmi_version=version, drive_tables=drive.tables)
     assert validate_fmu(str(path)) == []
     with pytest.raises(edge.InputError, match="crank_inertia is only for the compliant interface"):
         native_build.build_native(drive, path, interface=Interface(crank_inertia=MOTOR))

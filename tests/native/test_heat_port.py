@@ -35,7 +35,7 @@ def fmus(drive, tmp_path_factory):
             folder / f"{name}.fmu",
             interface=interface,
             fmi_version="3.0",
-            made=drive.tables,
+            drive_tables=drive.tables,
             platforms=[this_platform()],
         )
     return {name: folder / f"{name}.fmu" for name in kinds}

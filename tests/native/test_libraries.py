@@ -49,7 +49,7 @@ def test_an_fmu_for_every_platform_needs_no_compiler(drive, tmp_path, monkeypatc
     """The library is the same one for drives and compensators."""
     monkeypatch.setattr(library, "_compiled", None)
     write_compensator(compensator(), tmp_path / "joint.fmu", fmi_version=version)
-    build_native(drive, tmp_path / "drive.fmu", fmi_version=version, made=drive.tables)
+    build_native(drive, tmp_path / "drive.fmu", fmi_version=version, drive_tables=drive.tables)
     with zipfile.ZipFile(tmp_path / "joint.fmu") as joint, zipfile.ZipFile(tmp_path / "drive.fmu") as native:
         names = [name for name in joint.namelist() if name.startswith("binaries/")]
         assert len(names) == {"2.0": 3, "3.0": 5}[version]

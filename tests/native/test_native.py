@@ -641,8 +641,8 @@ def test_tables_of_a_drive_are_computed_once_for_all_its_fmus(drive, computed, t
             again = tmp_path / "again.fmu"
             made = native_build.build_native(drive, again, interface=interface, fmi_version=version)
             assert path.read_bytes() == again.read_bytes()
-            read.add(made.told)
-    assert read == {drive.tables.told}
+            read.add(made.accuracy)
+    assert read == {drive.tables.accuracy}
     assert computed.made == [None]
     native_build.build_native(drive, tmp_path / "d.fmu", largest_torque=300.0)
     native_build.build_native(DriveValue.as_stated(drive.pair.replace(pin_radius="3.001 mm")), tmp_path / "d.fmu")
@@ -1171,7 +1171,7 @@ def test_a_drive_gives_the_same_bytes_again(built, drive, tmp_path, monkeypatch)
         drive,
         path,
         interface=INTERFACES["kinematic"],
-        made=drive.tables,
+        drive_tables=drive.tables,
         platforms=[this_platform()],
     )
     assert path.read_bytes() == built().read_bytes()
@@ -1192,7 +1192,7 @@ def test_each_platform_has_its_folder_and_macos_in_fmi_2_holds_both_processors(d
         ),
     ):
         path = tmp_path / f"{version}.fmu"
-        native_build.build_native(drive, path, fmi_version=version, made=drive.tables)
+        native_build.build_native(drive, path, fmi_version=version, drive_tables=drive.tables)
         with zipfile.ZipFile(path) as archive:
             found = {n.removeprefix("binaries/") for n in archive.namelist() if n.startswith("binaries/")}
             assert found == expected
