@@ -210,7 +210,7 @@ def main() -> None:
     if unknown := sorted(set(wanted) - set(BENCHMARKS)):
         parser.error(f"{', '.join(unknown)}: there are {', '.join(BENCHMARKS)}")
     digest = hashlib.sha256(repr(quick).encode())
-    for top in (*PACKAGES, "tests", "benchmarks"):
+    for top in (*PACKAGES, "tests", "studies", "benchmarks"):
         for path in sorted(p for ending in ("py", "c", "h") for p in (ROOT / top).rglob(f"*.{ending}")):
             digest.update(path.read_bytes())
     folder = ROOT / "docs" / "generated" / f"measured-{digest.hexdigest()[:12]}"

@@ -1,4 +1,4 @@
-"""How much of three parts the tests hold: `python tests/mutate.py metrics|recorder|contact [--sample 100]`.
+"""How much of three parts the tests hold: `python studies/mutate.py metrics|recorder|contact [--sample 100]`.
 
 Cosmic Ray changes one operator, number or condition at a time; the part's own tests run against each
 change in a forked process, and a change that none of them detects survives. The sample is drawn with a fixed seed.
@@ -187,7 +187,8 @@ def stale(module: str) -> frozenset[str]:
 def forget(module: str) -> None:
     """Take a module out of this process, with all of ours that import it and the tests; the rest stays loaded."""
     for name, loaded in list(sys.modules.items()):
-        tests = (getattr(loaded, "__file__", None) or "").startswith(str(ROOT / "tests")) and name != "__main__"
+        file = getattr(loaded, "__file__", None) or ""
+        tests = file.startswith((str(ROOT / "tests"), str(ROOT / "studies"))) and name != "__main__"
         if tests or name in stale(module):
             del sys.modules[name]
             package, _, last = name.rpartition(".")
@@ -296,7 +297,7 @@ def page() -> str:
     return "\n\n".join(
         [
             "# Mutation tests",
-            "`python tests/mutate.py` changes one operator, number or condition of the code at a time and runs the "
+            "`python studies/mutate.py` changes one operator, number or condition of the code at a time and runs the "
             f"tests of that code. The sample of all possible changes is drawn with the seed {SEED}.",
             "\n".join(rows),
             "Undetected changes, each with the reason why it needs no test:",

@@ -1,6 +1,6 @@
 """Random rings with scatter in every pin and tooth, and how near an identification states each of them.
 
-`python tests/realised_rings.py DRIVES` prints the table of docs/identify.md.
+`python studies/realised_rings.py DRIVES` prints the table of docs/identify.md.
 """
 
 import sys

@@ -28,7 +28,7 @@ sys.dont_write_bytecode = False
 # Who begins the tests in the background has them ignore Ctrl-C, and all that they start.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
-sys.path.insert(0, str(Path(__file__).parent))  # common.py and brute_force.py
+sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1] / "studies")]  # common.py, second_drive.py
 
 
 @functools.cache

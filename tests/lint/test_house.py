@@ -16,7 +16,7 @@ from importlinter.cli import lint_imports
 from typer.main import get_command
 from typer.testing import CliRunner
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 SETTINGS = tomllib.loads((ROOT / "pyproject.toml").read_text())
 PACKAGES = ("cycloid_fmu", "fitting", "drivers")
 HEAVY = {
