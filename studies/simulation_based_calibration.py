@@ -3,8 +3,8 @@
 `python studies/simulation_based_calibration.py DRIVES [PICTURE]` prints how uniform the ranks are and draws them.
 Drives and benches are drawn from what the fit takes to be usual before measuring, recorded by `second_drive` and
 identified; then the rank of each true error among draws from its stated distribution is uniform (Talts et al.,
-arXiv:1804.06788). Bands of the ranks' distribution that hold all of it in 95 % of studies are those of Säilynoja, Bürkner and Vehtari,
-Statistics and Computing 32 (2022) 32.
+arXiv:1804.06788). Bands of the ranks' distribution that hold all of it in 95 % of studies are those of Säilynoja,
+Bürkner and Vehtari, Statistics and Computing 32 (2022) 32.
 """
 
 import sys
