@@ -20,7 +20,7 @@ import h5py
 import numpy as np
 import pyarrow as pa
 import pytest
-from common import PAIR
+from common import PAIR, study_size
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from pyarrow import parquet
@@ -54,7 +54,7 @@ from fitting.reports.panels import Panel, Trace
 posix = pytest.mark.skipif(os.name == "nt", reason="needs pipes and terminals")
 TABLE = "time [s],input_angle [rad],output_angle [rad],torque [N*m]\n0,0,0,5\n1,39,-1,5\n"
 TRIED = {}
-KILLS = int(os.environ.get("CYCLOID_KILLS", "300"))
+KILLS = study_size("CYCLOID_KILLS", 10, 300)
 
 
 def tries(row):

@@ -12,6 +12,7 @@ import types
 import can
 import numpy as np
 import pytest
+from common import study_size
 
 from cycloid_fmu import edge
 from drivers import hubs as hubs_module
@@ -31,7 +32,7 @@ from drivers.simulated.serial_bench import SimulatedAmt21Bench, SimulatedAsciiBe
 from tests.drivers.test_bench_cli import ENVIRONMENT, needs_multicast
 
 INPUT, OUTPUT, TORQUE = 0x181, 0x182, 0x2A0
-KILLS = int(os.environ.get("CYCLOID_KILLS", "300"))
+KILLS = study_size("CYCLOID_KILLS", 10, 300)
 needs_pty = pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs pseudo-terminals")
 
 

@@ -3,10 +3,10 @@
 import dataclasses
 import itertools
 import math
-import os
 
 import numpy as np
 import pytest
+from common import study_size
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -18,7 +18,7 @@ from drivers.simulated.buses import SimulatedCan
 from drivers.simulated.motion import SimulatedRun, simulate_hysteresis, simulate_motion
 
 ARCMIN = math.pi / 10800
-EXAMPLES = int(float(os.environ.get("CYCLOID_MUTATIONS", "1e6")) / 1e3)  # per check in the slow set
+EXAMPLES = study_size("CYCLOID_MUTATIONS", 1e5, 1e6) // 1000  # per check in the slow set
 
 
 @dataclasses.dataclass

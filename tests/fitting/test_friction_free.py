@@ -3,11 +3,10 @@
 import dataclasses
 import json
 import math
-import os
 
 import numpy as np
 import pytest
-from common import MEASURED, MOTOR_MAPPING
+from common import MEASURED, MOTOR_MAPPING, study_size
 
 import fitting
 import fitting.figures.metrics
@@ -318,7 +317,7 @@ RIGS = {
 @pytest.mark.parametrize("kind", RIGS)
 def test_intervals_hold(kind, record_property):
     """Nine of ten drives lie inside or more, and half of the intervals are below 15 % of the value."""
-    rig, count = RIGS[kind], max(20, 5 * int(os.environ.get("CYCLOID_SEEDS", "40")))
+    rig, count = RIGS[kind], max(20, 5 * study_size("CYCLOID_SEEDS", 5, 40))
     inside, wide = dict.fromkeys(rig.truth(1.0), 0), {name: [] for name in rig.truth(1.0)}
     for seed in range(count):
         found = friction_free(rig.loop_data(seed))

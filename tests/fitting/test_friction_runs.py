@@ -3,11 +3,10 @@
 import dataclasses
 import json
 import math
-import os
 
 import numpy as np
 import pytest
-from common import MEASURED, MOTOR_MAPPING
+from common import MEASURED, MOTOR_MAPPING, study_size
 from scipy.signal import lfilter
 
 import cycloid_fmu as cy
@@ -330,7 +329,7 @@ RIGS = {
 @pytest.mark.parametrize("kind", RIGS)
 def test_intervals_hold(kind, record_property):
     """Of simulated drives nine of ten lie inside or more, and intervals are not far wider than the errors."""
-    rigs, count = RIGS[kind], max(20, 4 * int(os.environ.get("CYCLOID_SEEDS", "40")))
+    rigs, count = RIGS[kind], max(20, 4 * study_size("CYCLOID_SEEDS", 5, 40))
     speeds = None if kind == "Stribeck" else ("0.1 rev/s", "1 rev/s")
     rig = rigs[0]
     warm = 1.0 + rig.warming * 0.3 * (1.0 - math.exp(-1.0 / 0.3))  # the mean over the recording

@@ -1,9 +1,9 @@
 import dataclasses
 import json
-import os
 
 import numpy as np
 import pytest
+from common import study_size
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -17,7 +17,7 @@ from fitting.figures.survey import survey
 from fitting.readers.recording import Recording, RecordingStream
 from fitting.reports.panels import panels_of
 
-SEEDS = int(os.environ.get("CYCLOID_SEEDS", "100"))
+SEEDS = study_size("CYCLOID_SEEDS", 5, 100)
 ARCMIN = np.pi / 10800
 ARCSEC = ARCMIN / 60
 

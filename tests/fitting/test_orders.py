@@ -2,17 +2,17 @@
 
 import dataclasses
 import json
-import os
 
 import numpy as np
 import pytest
+from common import study_size
 
 from fitting.figures.metrics import figures_of
 from fitting.figures.survey import survey
 from fitting.readers.recording import Recording
 from fitting.reports.figures_report import write_figures_report
 
-SEEDS = int(os.environ.get("CYCLOID_SEEDS", "100"))
+SEEDS = study_size("CYCLOID_SEEDS", 5, 100)
 ARCMIN = np.pi / 10800
 PULLEY = 3.34615
 WHOLE = {1: (4.3, 0.3), 2: (6.5, 1.0), 15: (4.2, 2.0), 32: (3.3, 0.2)}
