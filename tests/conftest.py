@@ -83,9 +83,10 @@ def installed_command(tmp_path):
 
 
 @pytest.hookimpl(wrapper=True, optionalhook=True)
-def pytest_xdist_auto_num_workers():
-    """One more than cores: many tests wait for a bench that moves in real time, or for a process."""
-    return (yield) + ("PYTEST_XDIST_AUTO_NUM_WORKERS" not in os.environ)
+def pytest_xdist_auto_num_workers(config):
+    """One more than cores where tests wait for a bench that moves in real time, or for a process."""
+    waiting = "not system" not in config.option.markexpr and "PYTEST_XDIST_AUTO_NUM_WORKERS" not in os.environ
+    return (yield) + waiting
 
 
 @pytest.hookimpl(optionalhook=True)
