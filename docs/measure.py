@@ -54,7 +54,12 @@ def parts(folder: Path) -> Iterator[tuple[str, Path, list[list[str]], dict[str, 
     yield "the default tests", report, [[*parallel, f"--junitxml={report}.part"]], {}
     for name, paths in STUDIES.items():
         report = folder / f"slow-{name}.xml"
-        yield f"slow tests, {name}", report, [[*paths, "-m", "slow", *parallel, f"--junitxml={report}.part"]], {}
+        yield (
+            f"slow and system tests, {name}",
+            report,
+            [[*paths, "-m", "slow or system", *parallel, f"--junitxml={report}.part"]],
+            {},
+        )
     report, lines = folder / "coverage.json", ["--cov", "--cov-report="]
     calls = [["-n", "auto", *lines], [*INTERPRETED, *lines, "--cov-append", f"--cov-report=json:{report}.part"]]
     yield "coverage", report, calls, {"COVERAGE_FILE": str(folder / "coverage.data")}

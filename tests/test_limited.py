@@ -19,6 +19,9 @@ from fitting.readers.inspection import inspect
 from tests.fitting.test_readers import DBC
 from tests.test_damaged_files import SMALL, can_log, mdf, sensor, surface
 
+pytestmark = pytest.mark.system
+
+
 HERE = __file__
 
 

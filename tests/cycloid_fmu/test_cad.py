@@ -305,6 +305,7 @@ def test_a_table_s_chords_stay_within_the_chord_error(tmp_path, chord_error):
     assert read["curvature"][sharp] == pytest.approx(-circle[sharp], rel=2e-2)
 
 
+@pytest.mark.slow(2)
 def test_a_step_read_back(tmp_path):
     pytest.importorskip("OCP")
     from OCP.BRepCheck import BRepCheck_Analyzer

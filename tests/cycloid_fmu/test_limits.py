@@ -333,6 +333,7 @@ def test_wear_is_judged_where_it_is_deepest_and_says_when_the_limit_was_reached(
     assert kept.margin == pytest.approx(2e-6)
 
 
+@pytest.mark.slow(2)
 def test_a_catalogue_s_stiffness_is_a_compliance_in_series():
     """As drawn the drive then has the catalogue's stiffness; with errors it has the same compliance in series."""
     drive = cy.read_drive(EXAMPLES / "rv-20e-bearings.toml")

@@ -32,6 +32,9 @@ from tests.drivers.test_bench_cli import ENVIRONMENT, filled, needs_multicast
 from tests.drivers.test_motor_controllers import moteus as replying
 from tests.drivers.test_motor_controllers import sending
 
+pytestmark = pytest.mark.system
+
+
 STOPS = study_size("CYCLOID_STOPS", 2, 100)
 SHORTEST, LONGEST = 0.1, 5.0  # s
 CAN_BUFFER, SERIAL_BUFFER = 1 << 16, 4095  # bytes: a fifth of a second of frames, half a second of lines

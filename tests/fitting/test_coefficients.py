@@ -93,6 +93,7 @@ def test_runs_without_load_find_the_drags_alone():
     assert fit.coefficients["input_drag.coulomb"].value == pytest.approx(0.08, rel=0.05)
 
 
+@pytest.mark.slow(3)
 def test_a_negative_coefficient_is_held_and_said():
     slight = {**TRUE, "input_drag": {"coulomb": 0.03, "viscous": 4e-4}}
     runs = [run(slight, load, noise=0.02, seed=k) for k, load in enumerate((60.0, 150.0))]
@@ -109,6 +110,7 @@ def test_a_drive_without_friction_or_with_a_first_stage_has_no_coefficients():
     assert fitting.friction(idle, ratio=-39.0).coefficients == {}
 
 
+@pytest.mark.slow(3)
 def test_loops_give_the_flanks_coefficient_at_rest(tmp_path):
     """mu of a loop is (1 - η_f η_b)/(1 + η_f η_b) of the efficiencies from rest."""
     resting = {**TRUE, "flank": {"friction_coefficient": 0.05, "static_friction_coefficient": 0.13}, "input_drag": {}}

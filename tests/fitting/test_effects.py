@@ -130,6 +130,7 @@ def test_the_report_begins_with_what_to_correct(found, tmp_path):
     assert "unknown which pin is number 0" in text
 
 
+@pytest.mark.system
 def test_the_report_fits_a_screen_of_1280_pixels(found, nominal, tmp_path):
     """Also with two discs, whose tables are the widest."""
     playwright = pytest.importorskip("playwright.sync_api")

@@ -212,6 +212,7 @@ def test_the_ensemble_s_band_is_as_wide_as_the_fit_is_uncertain(found, nominal, 
     assert width.max() < 1.0 * ARCSEC
 
 
+@pytest.mark.slow(2)
 def test_plan_and_ensemble_from_the_command_line(command, found, nominal, tmp_path):
     (tmp_path / "pair.toml").write_text(nominal.text)
     write_surface(found.surface, tmp_path / "s.nc")

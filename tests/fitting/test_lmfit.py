@@ -220,6 +220,7 @@ def test_lmfit_reports_the_result_and_files_hold_ties(given, runs, drive, tmp_pa
     assert written[TIED].value == pytest.approx(2.0 * written[OF].value)
 
 
+@pytest.mark.slow(12)
 def test_the_command_takes_a_file_of_parameters(command, tmp_path):
     drive = read_drive(BENCH / "pair.toml")
     given = fitting.parameters(fitting.read_recordings(str(BENCH / "*.csv")), drive)

@@ -86,6 +86,7 @@ def test_an_unknown_zero_gives_no_stiffness(found):
     assert "zero_reference" in without.attrs["notes"]
 
 
+@pytest.mark.slow(2)
 def test_maps_are_written_and_drawn(found, tmp_path):
     write_maps(found, tmp_path / "maps.nc")
     read = xr.load_dataset(tmp_path / "maps.nc")
