@@ -24,12 +24,13 @@ import sys
 import tempfile
 import time
 import tomllib
+import types
 from dataclasses import dataclass
 from pathlib import Path
 
 import grimp
-import numba
 import pytest
+from numba.core import config
 
 from cycloid_fmu import edge
 
@@ -155,7 +156,7 @@ class Served(importlib.abc.MetaPathFinder, importlib.abc.Loader):
             return None
         return importlib.machinery.ModuleSpec(name, self, origin=str(self.path))
 
-    def exec_module(self, module: object) -> None:
+    def exec_module(self, module: types.ModuleType) -> None:
         module.__file__ = str(self.path)
         exec(compile(self.text, str(self.path), "exec"), module.__dict__)
 
@@ -214,7 +215,7 @@ def outcome(module: str, text: str, stage: Stage) -> str:
             signal.signal(signal.SIGALRM, signal.SIG_DFL)
             signal.alarm(stage.longest)
             # Compiled code is cached by its module's file, which does not change.
-            numba.config.CACHE_DIR, numba.config.DISABLE_JIT = folder, int(stage.interpreted)
+            config.CACHE_DIR, config.DISABLE_JIT = folder, int(stage.interpreted)
             for stream in (1, 2):
                 os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
             code = 1
@@ -256,7 +257,7 @@ def run(name: str, sample: int) -> None:
     if target.quick:
         stages.append(Stage(target.tests, False, Quickest()))
     for stage in stages:
-        numba.config.DISABLE_JIT, begin = int(stage.interpreted), time.perf_counter()
+        config.DISABLE_JIT, begin = int(stage.interpreted), time.perf_counter()
         passed = tests_pass(stage.words, stage.quickest)
         stage.longest = 20 + int(5.0 * (time.perf_counter() - begin))
         for module in texts:

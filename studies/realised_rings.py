@@ -112,6 +112,6 @@ def table(drives, first=0):
 
 
 if __name__ == "__main__":
-    sys.stdout.reconfigure(encoding="utf-8")
+    sys.stdout.reconfigure(encoding="utf-8")  # type: ignore[union-attr]
     for line in table(*map(int, sys.argv[1:])):
         print(line, flush=True)

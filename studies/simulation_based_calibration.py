@@ -201,7 +201,7 @@ def draw(every, path):
 
 
 if __name__ == "__main__":
-    sys.stdout.reconfigure(encoding="utf-8")
+    sys.stdout.reconfigure(encoding="utf-8")  # type: ignore[union-attr]
     kept = kept_file("calibration", "benches_as_they_are", "simulation_based_calibration")
     every = resumed(ranks, [(seed,) for seed in range(int(sys.argv[1]))], kept, "drives")
     for line in lines(every):

@@ -899,7 +899,7 @@ def test_what_a_killed_command_left_is_removed_and_what_is_being_written_is_not(
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.txt", "b.txt"]
 
 
-@pytest.mark.slow(200)
+@pytest.mark.slow(5)
 def test_writers_beside_each_other_and_killed_at_random_leave_whole_files(tmp_path):
     """Four at a time write the same two files again and again until they are killed."""
     code = (

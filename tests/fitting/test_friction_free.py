@@ -313,7 +313,7 @@ RIGS = {
 }
 
 
-@pytest.mark.slow(60)
+@pytest.mark.slow(1)
 @pytest.mark.parametrize("kind", RIGS)
 def test_intervals_hold(kind, record_property):
     """Nine of ten drives lie inside or more, and half of the intervals are below 15 % of the value."""

@@ -325,7 +325,7 @@ RIGS = {
 }
 
 
-@pytest.mark.slow(120)
+@pytest.mark.slow(2)
 @pytest.mark.parametrize("kind", RIGS)
 def test_intervals_hold(kind, record_property):
     """Of simulated drives nine of ten lie inside or more, and intervals are not far wider than the errors."""

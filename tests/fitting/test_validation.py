@@ -120,7 +120,7 @@ def test_a_late_clock_is_timed_and_corrected(small):
     assert np.abs([*scores(found, values).values()]).max() < 4.0
 
 
-@pytest.mark.slow(300)
+@pytest.mark.slow(10)
 def test_effects_are_explained_or_told(record_property):
     """Right causes, few false alarms, coverage; a fortieth of CYCLOID_SEEDS drives, or some effects with few."""
     seeds = study_size("CYCLOID_SEEDS", 5, 200)
