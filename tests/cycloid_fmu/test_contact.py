@@ -759,6 +759,7 @@ def test_slices_of_a_tilted_gear_err_by_less_than_the_note_says(sizes, torque, d
     assert 0.3 * tilt_error(pair, 1e-3) < errors[1e-3] < tilt_error(pair, 1e-3)
 
 
+@pytest.mark.slow(2)
 @pytest.mark.parametrize(("tilt", "noted"), [("0.3 mrad", False), ("2 mrad", True)])
 def test_every_command_notes_a_tilt_beyond_the_first_order(tilt, noted, command, tmp_path):
     """As a stated error, as a tolerance and as a value that is varied; 0.02″ is at 0.4 mrad for K = 0.81."""

@@ -50,6 +50,7 @@ def test_draws_spread_as_the_covariance_says_to_first_order(identified):
     assert spread == pytest.approx(expected, rel=0.25)  # 80 draws know it within 8 %
 
 
+@pytest.mark.slow(2)
 def test_the_command_draws_as_python_does(command, identified, tmp_path):
     identified.write(tmp_path / "identified.nc")
     cy.build_fmus(fitting.ensemble(identified, 2), tmp_path / "python.fmu")

@@ -261,6 +261,7 @@ def test_the_pair_s_text_holds_it():
     assert "thermal" not in drive(OILED, None).pair.text
 
 
+@pytest.mark.slow(2)
 def test_the_command_prints_draws_and_judges(tmp_path):
     from cycloid_fmu.cli import app
 

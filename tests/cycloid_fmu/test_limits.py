@@ -223,7 +223,7 @@ share = 1.0
     ("allowed", "depth", "status"),
     [
         pytest.param("3000 MPa", "", 0, marks=pytest.mark.slow(3)),
-        ("500 MPa", 'wear_depth = "1 um"', edge.NOT_MET),
+        pytest.param("500 MPa", 'wear_depth = "1 um"', edge.NOT_MET, marks=pytest.mark.slow(2)),
         pytest.param("3000 MPa", 'wear_depth = "1 um"', edge.NOT_MET, marks=pytest.mark.slow(3)),
     ],
 )

@@ -76,6 +76,7 @@ def test_flank_and_drags_are_found_from_runs_at_two_loads():
     assert fit.coefficients["input_drag.viscous"].unit == "N*m*s/rad"
 
 
+@pytest.mark.slow(2)
 def test_without_noise_the_coefficients_are_exact():
     fit = fitting.loss_coefficients(
         fitting.friction([run(TRUE, load) for load in (60.0, 150.0)], ratio=-39.0), drive(STATED)

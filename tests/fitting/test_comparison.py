@@ -42,6 +42,7 @@ def test_what_can_not_be_compared_is_said():
     assert "use the same rated torque for both" in notes[0]
 
 
+@pytest.mark.slow(2)
 def test_compare_from_the_command_line(command, tmp_path):
     """A recording against figures that were written before."""
     for name, play in (("a", 0.6), ("b", 0.7)):

@@ -230,6 +230,7 @@ def test_starts_from_rest_give_the_starting_torque():
     assert any("too briefly" in note for note in found.notes)
 
 
+@pytest.mark.slow(2)
 def test_measured_friction_is_the_friction_of_the_fmu(tmp_path, command, nominal):
     """Recording, friction file, FMU and a recording of its flanges: the same friction again, at every load."""
     rigs = [Rig(growth=0.1, load=load, name=f"at {load}", **RIPPLE) for load in (0.0, 20.0, 40.0)]

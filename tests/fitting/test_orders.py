@@ -134,6 +134,7 @@ def test_the_command_prints_the_largest_orders_and_writes_all(command, tmp_path)
     assert one["turn_averaging"].keys() >= {"variance_share_removed", "peak_to_peak_of_one_turn"}
 
 
+@pytest.mark.slow(2)
 def test_a_report_has_the_orders_that_averaging_removes(tmp_path):
     found = figures(run(WHOLE | OTHERS, pulley=-PULLEY))
     write_figures_report(found, tmp_path / "report.html")
