@@ -350,6 +350,7 @@ def test_wrong_arguments_are_named(case):
         plan_visit(drive, [], crank_turns=1e6, bits=17)
 
 
+@pytest.mark.slow(2)
 def test_from_the_command_line(case, command, tmp_path):
     drive, *_, runs = case
     Drive(drive.pair).write(tmp_path / "pair.toml")
