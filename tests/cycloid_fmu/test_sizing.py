@@ -117,9 +117,9 @@ def test_parts_are_apart_by_the_wall_of_the_process(sized):
 
 def test_mass_of_a_disc_is_that_of_points_inside_it(sized):
     pair, supports = sized.pair, sized.pair.supports
-    flank = np.stack(flank_points(pair, np.linspace(0.0, 2.0 * np.pi, 5001)), axis=1)
+    flank = np.stack(flank_points(pair, np.linspace(0.0, 2.0 * np.pi, 2001)), axis=1)
     reach = np.abs(flank).max()
-    points = np.random.default_rng(5).uniform(-reach, reach, (400_000, 2))
+    points = np.random.default_rng(5).uniform(-reach, reach, (100_000, 2))
     inside = Polygon(flank).contains_points(points) & (np.linalg.norm(points, axis=1) > sized.bearing_seat)
     for angle in 2.0 * np.pi * np.arange(supports.count) / supports.count:
         centre = supports.circle_radius * np.array([np.cos(angle), np.sin(angle)])
