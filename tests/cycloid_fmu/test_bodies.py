@@ -288,6 +288,7 @@ def test_a_disc_s_matrix_is_symmetric_and_positive():
     assert values[0] > -1e-9 * values[-1]
 
 
+@pytest.mark.slow(1)
 @pytest.mark.parametrize("crank_angle", [0.0, 0.37, 2.9, -1.2])
 def test_interpolation_is_what_loads_at_the_places_themselves_give(crank_angle):
     body = discs.elastic_disc(SMALL, SMALL_DISC, 0)
@@ -583,6 +584,7 @@ def test_a_disc_is_computed_once_for_all_that_does_not_concern_it(cache, monkeyp
     assert len(list((cache / "influence").glob("*.influence"))) == 5
 
 
+@pytest.mark.slow(1)
 def test_progress_counts_the_unit_loads(cache):
     seen, totals = [], []
     cy.Drive(SMALL).influence(bodies=Bodies(disc=SMALL_DISC), total=totals.append, progress=seen.append)
@@ -627,6 +629,7 @@ def test_a_window_from_a_dxf_file_is_that_of_its_lines_and_arcs(tmp_path):
         cy.read_drive(path)
 
 
+@pytest.mark.slow(1)
 def test_the_picture_of_a_disc_has_its_mesh_and_the_pressed_place_s_displacement():
     """The largest displacement in the picture is at least the mean one under the pin's patch, and there."""
     figure = plot_disc(SMALL, SMALL_DISC, pin=3)

@@ -735,6 +735,7 @@ def test_results_outside_the_model_say_so():
     assert "no play" in notes(DriveValue.as_stated(wrong), solve(DriveValue.as_stated(wrong), [10.0], angles))[-1]
 
 
+@pytest.mark.slow(1)
 @pytest.mark.parametrize(
     ("sizes", "torque"), [({}, -181.0), ({"gear_teeth": 13, "pins": 14, "eccentricity": "2.5 mm"}, 120.0)]
 )

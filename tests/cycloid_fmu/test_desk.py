@@ -137,6 +137,7 @@ def test_every_wrong_value_is_told(desk):
     assert set(look(desk, {**desk.values, **wrong}).problems) == set(wrong)
 
 
+@pytest.mark.slow(2)
 @settings(max_examples=25)
 @given(st.dictionaries(st.sampled_from([*FIELDS, "torque", "crank_angle"]), st.text(max_size=12), min_size=1))
 def test_any_text_is_shown_or_told(values):

@@ -26,6 +26,7 @@ def error_of(drive):
     return drive.analyze(TORQUE, crank_angle=ANGLES).transmission_error.values[0]
 
 
+@pytest.mark.slow(1)
 def test_each_fmu_is_its_drive_and_together_they_are_numbered(identified, tmp_path):
     drawn = fitting.ensemble(identified, 2, seed=4)
     paths = cy.build_fmus(drawn, tmp_path / "drive.fmu")

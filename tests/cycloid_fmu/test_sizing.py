@@ -150,12 +150,14 @@ def test_the_text_with_reasons_is_the_pair(sized):
     assert re.search(r"^pin_radius = .*# largest dowel", sized.text, re.MULTILINE)
 
 
+@pytest.mark.slow(2)
 def test_the_ring_as_output_has_one_tooth_less_than_the_ratio():
     drive = size(Wish(**{**CNC, "output": "ring"}))
     assert (drive.pair.gear_teeth, drive.pair.ratio, drive.pair.supports) == (14, 15.0, None)
     assert any("ring" in note for note in drive.notes)
 
 
+@pytest.mark.slow(4)
 def test_an_impossible_wish_names_what_is_possible():
     wish = Wish(**{**CNC, "outer_diameter": "60 mm", "torque": "80 N*m"})
     with pytest.raises(edge.InputError, match="There is no such drive") as refused:
@@ -182,6 +184,7 @@ def test_bad_wishes_are_refused_in_one_sentence(changes, message):
         Wish(**{**CNC, **changes})
 
 
+@pytest.mark.slow(2)
 def test_the_command_writes_a_drive_that_other_commands_take(command, tmp_path):
     words = [
         *("--ratio", "15", "--outer-diameter", "70 mm", "--torque", "20 N*m", "--material", "7075-T6"),

@@ -132,6 +132,7 @@ def test_loops_give_the_flanks_coefficient_at_rest(tmp_path):
     assert any("no coefficient of the flanks at rest" in note for note in none.notes)
 
 
+@pytest.mark.slow(1)
 def test_the_command_states_the_coefficients(tmp_path):
     """A pair with friction has them beside the figures, in the table and in JSON; one that can't says why."""
     drive(STATED).write(tmp_path / "pair.toml")

@@ -99,6 +99,7 @@ def test_measurements_of_some_unknowns_move_those_that_depend_on_them(drive):
     assert np.linalg.lstsq(columns[:, 1:], values, rcond=None)[0] == pytest.approx([0.2, 10.0])
 
 
+@pytest.mark.slow(2)
 def test_the_file_is_the_prior(curves, drive, before, after, tmp_path):
     before.write(tmp_path / "fit.json")
     read = read_posterior(tmp_path / "fit.json", drive)

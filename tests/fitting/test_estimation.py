@@ -318,6 +318,7 @@ def test_a_torque_that_swings_unseen_is_named(simple, nominal, seed):
     assert max(abs(z) for z in distances(found, nominal, made).values()) < 4.0
 
 
+@pytest.mark.slow(1)
 @pytest.mark.parametrize("pattern", ["pin_tangential", "tooth_cumulative_pitch"])
 def test_errors_of_pins_and_teeth_are_never_swapped(nominal, pattern):
     made = with_structured(surface_of_pair(nominal), {f"{pattern}_2_cos": 3e-6, f"{pattern}_3_sin": -2e-6})

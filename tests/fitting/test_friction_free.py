@@ -144,6 +144,7 @@ def test_a_pass_in_one_direction_alone_has_no_mid_curve():
     assert friction_free(part) is None
 
 
+@pytest.mark.slow(1)
 def test_the_file_has_the_figures_in_si_and_the_table_shows_them(tmp_path, command):
     written(Rig(torque_noise=0.3), tmp_path)
     done = command("cycloid-fit", "metrics", "loop.csv", "--mapping", "m.toml", "-o", "figures.json", "--plot", "f.png")

@@ -74,6 +74,7 @@ def test_orders_of_pins_and_teeth_are_their_own(nominal):
         assert (amplitude[(orders % own != 0) & (orders < 1100)] < 1e-6 * amplitude.max()).all(), name
 
 
+@pytest.mark.slow(1)
 def test_outliers_are_left_out_and_missing_arcs_do_not_matter(measured, nominal, made):
     curves = measured(6)
     error = curves[0].transmission_error.copy()

@@ -235,7 +235,7 @@ KNEES = [(0.2, 0.4), (0.4, 0.4), (0.4, 0.2), (0.1, 0.5), (0.3, 0.0), (0.6, 0.1)]
 
 
 @pytest.mark.parametrize(("knee", "friction"), KNEES)
-@pytest.mark.parametrize("each", [300, 1000, 4000])
+@pytest.mark.parametrize("each", [300, 1000, pytest.param(4000, marks=pytest.mark.slow(1))])
 def test_the_lost_motion_of_a_round_knee_is_that_at_three_percent(knee, friction, each):
     """Of 20 N·m rated torque and 6′ of play. A line through 2 to 4 % made 6.01 ± 0.24 of 6.32′ in the first one."""
     for loops in (1, 2):
