@@ -2,4 +2,4 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
-sys.path.insert(0, str(ROOT / "tests"))  # common.py and the brute force
+sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "studies")]  # common.py, second_drive.py

@@ -1,14 +1,9 @@
 """A step of MuJoCo with a drive in one hinge, beside one with attributes alone."""
 
-import sys
-from pathlib import Path
-
+import joint_cases
 import pytest
 
 from cycloid_fmu.joint.joint_drive import JointDrive, MujocoJoints
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-import joint_cases
 
 CASE, STEP = joint_cases.read("printed-move"), 1e-3
 

@@ -1,12 +1,8 @@
 """An update in place of a 39/40 drive: runs at two loads, both ways, a turn each, 17 bits; from arrays to figures."""
 
 import os
-import sys
 
 import numpy as np
-
-sys.path.insert(0, os.path.join(os.path.dirname(__file__), "..", "tests"))
-
 from lived_drives import BITS, TURNS, Joint, fitted, made, visit, worn
 
 from cycloid_fmu.geometry.pair import read_pair

@@ -54,7 +54,12 @@ def parts(folder: Path) -> Iterator[tuple[str, Path, list[list[str]], dict[str, 
     yield "the default tests", report, [[*parallel, f"--junitxml={report}.part"]], {}
     for name, paths in STUDIES.items():
         report = folder / f"slow-{name}.xml"
-        yield f"slow tests, {name}", report, [[*paths, "-m", "slow", *parallel, f"--junitxml={report}.part"]], {}
+        yield (
+            f"slow and system tests, {name}",
+            report,
+            [[*paths, "-m", "slow or system", *parallel, f"--junitxml={report}.part"]],
+            {},
+        )
     report, lines = folder / "coverage.json", ["--cov", "--cov-report="]
     calls = [["-n", "auto", *lines], [*INTERPRETED, *lines, "--cov-append", f"--cov-report=json:{report}.part"]]
     yield "coverage", report, calls, {"COVERAGE_FILE": str(folder / "coverage.data")}
@@ -210,12 +215,12 @@ def main() -> None:
     if unknown := sorted(set(wanted) - set(BENCHMARKS)):
         parser.error(f"{', '.join(unknown)}: there are {', '.join(BENCHMARKS)}")
     digest = hashlib.sha256(repr(quick).encode())
-    for top in (*PACKAGES, "tests", "benchmarks"):
+    for top in (*PACKAGES, "tests", "studies", "benchmarks"):
         for path in sorted(p for ending in ("py", "c", "h") for p in (ROOT / top).rglob(f"*.{ending}")):
             digest.update(path.read_bytes())
     folder = ROOT / "docs" / "generated" / f"measured-{digest.hexdigest()[:12]}"
     folder.mkdir(parents=True, exist_ok=True)
-    environment = {**os.environ, **(QUICK if quick else {})}
+    environment = {**os.environ, **(QUICK if quick else {"CYCLOID_FULL": "1"})}
     interrupted = False
     try:
         for name, report, calls, further in parts(folder):

@@ -43,6 +43,11 @@ face_width = "10 mm"
 WEAR_PAIR = PAIR.replace("64 mm", "66 mm") + '[modification]\noffset = "-50 um"\nisometric = "-30 um"\n'
 
 
+def study_size(name, short, full):
+    """Size of a study: the environment variable's value, or else the full one with CYCLOID_FULL=1, or the short one."""
+    return int(float(os.environ.get(name, full if os.environ.get("CYCLOID_FULL") else short)))
+
+
 def make_pair(text=PAIR, **keys):
     """The error-free 39/40 pair with other keys of its [pair] table."""
     lines = text.splitlines()

@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import zlib
 from importlib import metadata
 from pathlib import Path
 
@@ -28,7 +27,7 @@ sys.dont_write_bytecode = False
 # Who begins the tests in the background has them ignore Ctrl-C, and all that they start.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
-sys.path.insert(0, str(Path(__file__).parent))  # common.py and brute_force.py
+sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1] / "studies")]  # common.py, second_drive.py
 
 
 @functools.cache
@@ -84,9 +83,10 @@ def installed_command(tmp_path):
 
 
 @pytest.hookimpl(wrapper=True, optionalhook=True)
-def pytest_xdist_auto_num_workers():
-    """One more than cores: many tests wait for a bench that moves in real time, or for a process."""
-    return (yield) + ("PYTEST_XDIST_AUTO_NUM_WORKERS" not in os.environ)
+def pytest_xdist_auto_num_workers(config):
+    """One more than cores where tests wait for a bench that moves in real time, or for a process."""
+    waiting = "not system" not in config.option.markexpr and "PYTEST_XDIST_AUTO_NUM_WORKERS" not in os.environ
+    return (yield) + waiting
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -98,16 +98,12 @@ def pytest_xdist_make_scheduler(config, log):
 
 
 def pytest_collection_modifyitems(items):
-    """Each worker's part of the slow tests begins with the longest: begun last, it would run after all others."""
+    """Each worker begins with the longest of its slow tests: begun last, they would run after all others."""
     slow = {item: mark.args[0] if mark.args else 0 for item in items if (mark := item.get_closest_marker("slow"))}
-    # "1/3": the second third of them, chosen by name.
-    which, of = map(int, os.environ.get("CYCLOID_SLOW_PART", "0/1").split("/"))
-    left_out = {item for item in slow if zlib.crc32(item.nodeid.encode()) % of != which}
-    items[:] = [item for item in items if item not in left_out]
-    slow = {item: seconds for item, seconds in slow.items() if item not in left_out}
-    longest = sorted(slow, key=lambda item: -slow[item])
+    longest, others = sorted(slow, key=lambda item: -slow[item]), [item for item in items if item not in slow]
     workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
-    items[:] = [item for item in items if item not in slow] + [i for w in range(workers) for i in longest[w::workers]]
+    ends = [len(others) * worker // workers for worker in range(workers + 1)]
+    items[:] = [i for w in range(workers) for i in (*longest[w::workers], *others[ends[w] : ends[w + 1]])]
 
 
 @pytest.hookimpl(wrapper=True)

@@ -59,6 +59,7 @@ def test_exit_status(problem, status, ran):
     assert ("Interrupted" in error) == (status == 130)
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("name", COMMANDS)
 def test_the_commands_are_installed_and_say_what_is_wrong(installed_command, name):
     """The other tests of the command line call its entry points in their own process."""
@@ -333,6 +334,7 @@ def test_what_is_no_fmu_is_refused(command, tmp_path):
         assert (run.returncode, run.stderr) == (2, f"d.toml: this is {what}; an FMU is needed here.\n")
 
 
+@pytest.mark.system
 def test_the_first_answer_waits_for_no_package_that_it_does_not_need(tmp_path):
     (tmp_path / "pair.toml").write_text(PAIR)
     code = """

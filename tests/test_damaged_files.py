@@ -7,7 +7,6 @@ import dataclasses
 import functools
 import json
 import logging
-import os
 import zlib
 
 import can
@@ -17,7 +16,7 @@ import hostile
 import numpy as np
 import pyarrow as pa
 import pytest
-from common import EXAMPLES, damaged, make_pair
+from common import EXAMPLES, damaged, make_pair, study_size
 from pyarrow import parquet
 
 import cycloid_fmu as cy
@@ -58,7 +57,7 @@ from tests.drivers.test_sequence import SEQUENCE
 from tests.fitting.test_readers import CAN_MAP, DBC
 from tests.fitting.test_scope import export
 
-COUNT = int(float(os.environ.get("CYCLOID_DAMAGED_FILES", "2e4")))
+COUNT = study_size("CYCLOID_DAMAGED_FILES", 200, 2e4)
 SAMPLES = 24
 TIME = np.arange(SAMPLES) * 1e-2
 OWN = {

@@ -19,6 +19,9 @@ from fitting.readers.inspection import inspect
 from tests.fitting.test_readers import DBC
 from tests.test_damaged_files import SMALL, can_log, mdf, sensor, surface
 
+pytestmark = pytest.mark.system
+
+
 HERE = __file__
 
 
@@ -165,7 +168,7 @@ def test_commands_refuse_files_that_would_stop_them(tmp_path, command):
         assert re.search(f"{name}: this .* damaged", done.stderr)
 
 
-@pytest.mark.slow(200)
+@pytest.mark.slow(25)
 @pytest.mark.usefixtures("short")
 @pytest.mark.parametrize("compression", [0, 2])
 def test_mdf_files_whose_blocks_lead_to_themselves(tmp_path, compression):

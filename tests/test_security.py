@@ -20,7 +20,7 @@ import h5py
 import numpy as np
 import pyarrow as pa
 import pytest
-from common import PAIR
+from common import PAIR, study_size
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from pyarrow import parquet
@@ -54,7 +54,7 @@ from fitting.reports.panels import Panel, Trace
 posix = pytest.mark.skipif(os.name == "nt", reason="needs pipes and terminals")
 TABLE = "time [s],input_angle [rad],output_angle [rad],torque [N*m]\n0,0,0,5\n1,39,-1,5\n"
 TRIED = {}
-KILLS = int(os.environ.get("CYCLOID_KILLS", "300"))
+KILLS = study_size("CYCLOID_KILLS", 10, 300)
 
 
 def tries(row):
@@ -899,7 +899,7 @@ def test_what_a_killed_command_left_is_removed_and_what_is_being_written_is_not(
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.txt", "b.txt"]
 
 
-@pytest.mark.slow(200)
+@pytest.mark.slow(5)
 def test_writers_beside_each_other_and_killed_at_random_leave_whole_files(tmp_path):
     """Four at a time write the same two files again and again until they are killed."""
     code = (

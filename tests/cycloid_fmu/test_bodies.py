@@ -155,6 +155,7 @@ def test_a_tooth_s_compliance_and_the_law_s_part_of_a_patch_add_up_to_one_value(
     assert change < 2e-3 * np.abs(own).max()
 
 
+@pytest.mark.slow(2)
 def test_a_finer_mesh_changes_little():
     compliances = []
     for fineness in (1.0, 1.7):
@@ -287,6 +288,7 @@ def test_a_disc_s_matrix_is_symmetric_and_positive():
     assert values[0] > -1e-9 * values[-1]
 
 
+@pytest.mark.slow(1)
 @pytest.mark.parametrize("crank_angle", [0.0, 0.37, 2.9, -1.2])
 def test_interpolation_is_what_loads_at_the_places_themselves_give(crank_angle):
     body = discs.elastic_disc(SMALL, SMALL_DISC, 0)
@@ -328,6 +330,7 @@ def test_turning_a_whole_tooth_turns_the_pins():
     assert again[np.ix_(pins, pins)] == pytest.approx(direct, rel=1e-6, abs=1e-6 * direct.max())
 
 
+@pytest.mark.slow(4)
 def test_a_disc_with_windows_is_softer_and_a_stiffer_material_is_stiffer():
     windows = [{"shape": "round", "count": 4, "first_angle": "1 rad", "circle_radius": "21 mm", "radius": "5 mm"}]
     open_disc = discs.condensed(SMALL, SMALL_DISC.replace(windows=windows), 0)
@@ -346,7 +349,14 @@ def norm_error(computed, expected):
     return np.linalg.norm(np.asarray(computed) - np.asarray(expected), 2) / np.linalg.norm(expected, 2)
 
 
-@pytest.mark.parametrize("name", ["rollers-one-disc", "rv-all-bodies", "rv-fan-windows"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "rollers-one-disc",
+        pytest.param("rv-all-bodies", marks=pytest.mark.slow(5)),
+        pytest.param("rv-fan-windows", marks=pytest.mark.slow(5)),
+    ],
+)
 def test_influence_is_that_of_the_independent_solver(tmp_path, name):
     """Blocks within 1 % in spectral norm. Of two discs the first alone is computed here."""
     drawn = tmp_path / "drive.toml"
@@ -574,6 +584,7 @@ def test_a_disc_is_computed_once_for_all_that_does_not_concern_it(cache, monkeyp
     assert len(list((cache / "influence").glob("*.influence"))) == 5
 
 
+@pytest.mark.slow(1)
 def test_progress_counts_the_unit_loads(cache):
     seen, totals = [], []
     cy.Drive(SMALL).influence(bodies=Bodies(disc=SMALL_DISC), total=totals.append, progress=seen.append)
@@ -618,6 +629,7 @@ def test_a_window_from_a_dxf_file_is_that_of_its_lines_and_arcs(tmp_path):
         cy.read_drive(path)
 
 
+@pytest.mark.slow(1)
 def test_the_picture_of_a_disc_has_its_mesh_and_the_pressed_place_s_displacement():
     """The largest displacement in the picture is at least the mean one under the pin's patch, and there."""
     figure = plot_disc(SMALL, SMALL_DISC, pin=3)

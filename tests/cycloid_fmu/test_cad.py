@@ -184,6 +184,7 @@ def test_form_of_one_height_is_an_isometric_modification():
     assert off_formula(arcs_of(errors).points(), same) <= 1e-7
 
 
+@pytest.mark.slow(1)
 def test_form_of_single_elements_is_where_it_was_measured():
     """The outline passes through every element's middle at its height along the normal, taken here by differences."""
     form = np.random.default_rng(1).normal(0.0, 2e-7, (1, 39, 20, 3))
@@ -278,6 +279,7 @@ def test_an_svg_read_back(tmp_path):
     assert off_formula(Arcs(1e-3 * np.array(pen.points), pen.bulges).points(), MODIFIED) <= 1e-7
 
 
+@pytest.mark.slow(1)
 @pytest.mark.parametrize("chord_error", ["0.1 um", "2 um"])
 def test_a_table_s_chords_stay_within_the_chord_error(tmp_path, chord_error):
     cy.Drive(MODIFIED).profile(chord_error=chord_error).write(tmp_path / "disc.csv")
@@ -305,6 +307,7 @@ def test_a_table_s_chords_stay_within_the_chord_error(tmp_path, chord_error):
     assert read["curvature"][sharp] == pytest.approx(-circle[sharp], rel=2e-2)
 
 
+@pytest.mark.slow(2)
 def test_a_step_read_back(tmp_path):
     pytest.importorskip("OCP")
     from OCP.BRepCheck import BRepCheck_Analyzer
@@ -351,6 +354,7 @@ def test_holes_are_where_and_as_large_as_the_rollers_need_them():
 # The command
 
 
+@pytest.mark.slow(1)
 def test_the_command_writes_all_and_draws(command, tmp_path):
     path = str(CRANKS)
     done = command("cycloid-fmu", "profile", path, "-o", "d.dxf", "--plot", "d.png", "--chord-error", "0.5 um")

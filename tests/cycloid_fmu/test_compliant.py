@@ -2,13 +2,12 @@
 
 import itertools
 import math
-import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 from clockworks import compliant_drive, kinematic_drive
-from common import PAIR
+from common import PAIR, study_size
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -26,7 +25,7 @@ PLAY = parse_pair(
 )
 SURFACE = nominal_surface(PLAY)
 HALF = 1.8e-4  # rad, more than half of the play
-STEPS = int(float(os.environ.get("CYCLOID_STEPS", "1e6")))
+STEPS = study_size("CYCLOID_STEPS", 1e4, 1e6)
 
 
 def compliant(inertia=0.0, losses=((0.0, 1.0, 1.0, 0.0, 0.0),), **parameters):

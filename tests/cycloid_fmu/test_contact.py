@@ -756,6 +756,7 @@ def test_results_outside_the_model_say_so():
     assert "no play" in notes(DriveValue.as_stated(wrong), solve(DriveValue.as_stated(wrong), [10.0], angles))[-1]
 
 
+@pytest.mark.slow(1)
 @pytest.mark.parametrize(
     ("sizes", "torque"), [({}, -181.0), ({"gear_teeth": 13, "pins": 14, "eccentricity": "2.5 mm"}, 120.0)]
 )
@@ -780,6 +781,7 @@ def test_slices_of_a_tilted_gear_err_by_less_than_the_note_says(sizes, torque, d
     assert 0.3 * tilt_error(pair, 1e-3) < errors[1e-3] < tilt_error(pair, 1e-3)
 
 
+@pytest.mark.slow(2)
 @pytest.mark.parametrize(("tilt", "noted"), [("0.3 mrad", False), ("2 mrad", True)])
 def test_every_command_notes_a_tilt_beyond_the_first_order(tilt, noted, command, tmp_path):
     """As a stated error, as a tolerance and as a value that is varied; 0.02″ is at 0.4 mrad for K = 0.81."""

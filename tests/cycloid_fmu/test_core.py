@@ -2,14 +2,13 @@
 
 import json
 import math
-import os
 import re
 import shutil
 import zipfile
 
 import numpy as np
 import pytest
-from common import CASES
+from common import CASES, study_size
 
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.fmu.build import build_fmu
@@ -30,7 +29,7 @@ KINDS = {
     "rotor": Interface("compliant", crank_inertia=1e-2, **RUBS),
     "joint": Interface("compliant", 0.05, crank_inertia=1e-2, **RUBS),
 }
-STEPS = int(float(os.environ.get("CYCLOID_STEPS", "1e6")))
+STEPS = study_size("CYCLOID_STEPS", 1e4, 1e6)
 
 
 @pytest.fixture(scope="module")

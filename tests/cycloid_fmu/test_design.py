@@ -177,6 +177,7 @@ def test_the_yield_asked_for_is_that_of_a_study_of_its_own():
     assert plain.goals["backlash"] < 0.2 * found.goals["backlash"]
 
 
+@pytest.mark.slow(1)
 def test_the_command_writes_drives_that_are_ready(tmp_path):
     text = (
         'format = "cycloid-design/1"\ndrive = "drive.toml"\ngoals = ["backlash"]\n'

@@ -80,6 +80,7 @@ def test_limits_on_bearings_are_not_judged_without_their_capacity():
     assert {one.figure for one in view.verdicts} == set(desk.requirements.limits.stated()) - {*view.not_judged}
 
 
+@pytest.mark.slow(2)
 def test_friction_is_shown_from_rest():
     desk = open_desk(EXAMPLES / "drive-39-40-bearings.toml")
     view = look(desk, {**desk.values, "torque": "181 N*m"})
@@ -136,6 +137,7 @@ def test_every_wrong_value_is_told(desk):
     assert set(look(desk, {**desk.values, **wrong}).problems) == set(wrong)
 
 
+@pytest.mark.slow(2)
 @settings(max_examples=25)
 @given(st.dictionaries(st.sampled_from([*FIELDS, "torque", "crank_angle"]), st.text(max_size=12), min_size=1))
 def test_any_text_is_shown_or_told(values):
@@ -251,6 +253,7 @@ def test_bad_files_are_a_sentence(command, words, sentence):
     assert done.stderr.count("\n") == 1
 
 
+@pytest.mark.system
 @pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
 def test_a_designer_works_at_it(server):
     playwright = pytest.importorskip("playwright.sync_api")

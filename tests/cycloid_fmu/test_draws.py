@@ -26,6 +26,7 @@ def error_of(drive):
     return drive.analyze(TORQUE, crank_angle=ANGLES).transmission_error.values[0]
 
 
+@pytest.mark.slow(1)
 def test_each_fmu_is_its_drive_and_together_they_are_numbered(identified, tmp_path):
     drawn = fitting.ensemble(identified, 2, seed=4)
     paths = cy.build_fmus(drawn, tmp_path / "drive.fmu")
@@ -50,6 +51,7 @@ def test_draws_spread_as_the_covariance_says_to_first_order(identified):
     assert spread == pytest.approx(expected, rel=0.25)  # 80 draws know it within 8 %
 
 
+@pytest.mark.slow(2)
 def test_the_command_draws_as_python_does(command, identified, tmp_path):
     identified.write(tmp_path / "identified.nc")
     cy.build_fmus(fitting.ensemble(identified, 2), tmp_path / "python.fmu")

@@ -115,6 +115,7 @@ def test_half_shell_seats_agree_with_a_second_computation():
         assert found.pin_force[0, number] == pytest.approx(other.pin_force, rel=1e-5, abs=1e-3)
 
 
+@pytest.mark.slow(2)
 @pytest.mark.parametrize("pair", [ELASTIC, SOFT_CRANKS], ids=["output_rollers", "cranks"])
 def test_a_drive_agrees_with_a_second_computation(pair):
     """All ports in plain NumPy; of rigid discs their 48 sectors are the bearings' continuum within 0.01″."""

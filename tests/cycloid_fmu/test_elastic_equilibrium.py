@@ -16,7 +16,7 @@ from cycloid_fmu.geometry.pair import parse_pair
 
 HALF_SHELL = {"rv-all-bodies": 2e-6}  # diametral clearance of its seats, m
 SLOW = [
-    "rollers-one-disc",
+    pytest.param("rollers-one-disc", marks=pytest.mark.slow(5)),
     pytest.param("rv-all-bodies", marks=pytest.mark.slow(20)),
     pytest.param("rv-fan-windows", marks=pytest.mark.slow(20)),
 ]

@@ -123,6 +123,7 @@ def test_interpolated_slices_are_the_solved_ones():
     assert found.pin_force == pytest.approx(solved.pin_force, rel=1e-6, abs=1e-6)
 
 
+@pytest.mark.slow(2)
 def test_lines_and_element_pressures():
     data = analyze(DriveValue.as_stated(TILTED), [-120.0, 60.0], np.linspace(0, 6, 60), 25, with_elements=True)
     total = data["slice_force"].sum("slice")

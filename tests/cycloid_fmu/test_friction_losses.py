@@ -417,6 +417,7 @@ def test_what_is_missing_is_named():
         drive({"first_stage": {"loss": 0.01}}).losses(angles=2)
 
 
+@pytest.mark.slow(2)
 def test_the_command_prints_writes_and_draws(tmp_path):
     import xarray as xr
 

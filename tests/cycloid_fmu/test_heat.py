@@ -87,6 +87,7 @@ def test_at_the_steady_temperature_all_heat_is_given_off():
     assert thinner.power > found.power
 
 
+@pytest.mark.slow(2)
 def test_the_warm_up_is_that_of_the_differential_equation():
     """C dT/dt = P(T) - (T - T_0)/R, integrated step by step with the drive solved at each temperature."""
     made = drive(OILED, THERMAL)
@@ -261,6 +262,7 @@ def test_the_pair_s_text_holds_it():
     assert "thermal" not in drive(OILED, None).pair.text
 
 
+@pytest.mark.slow(2)
 def test_the_command_prints_draws_and_judges(tmp_path):
     from cycloid_fmu.cli import app
 

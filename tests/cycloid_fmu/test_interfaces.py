@@ -249,6 +249,7 @@ def test_inspect_says_that_damping_is_an_assumption(fmus):
     assert "mesh_damping is" not in CliRunner().invoke(app, ["inspect", str(fmus("kinematic", "3.0"))]).stdout
 
 
+@pytest.mark.system
 def test_a_state_restores_in_another_process_bit_by_bit(fmus, tmp_path):
     walk = """
 def walk(fmu):
@@ -354,6 +355,7 @@ def test_an_fmu_runs_from_a_folder_with_other_letters(fmus, tmp_path, version):
     assert found[0] == found[1]
 
 
+@pytest.mark.slow(2)
 def test_commands_lead_and_compare(command, tmp_path):
     (tmp_path / "pair.toml").write_text(PAIR)
     assert command("cycloid-fmu", "build", "pair.toml", "-o", "k.fmu").returncode == 0

@@ -116,6 +116,7 @@ def fitted():
     return cy.Drive(AS_MADE.pair, surface)
 
 
+@pytest.mark.slow(3)
 def test_a_fit_gives_intervals_and_draws_and_the_same_seed_the_same_bytes(fitted):
     one, other = (fitted.joint(stated=ROTOR, draws=40, seed=3, angles=211, workers=1) for _ in range(2))
     assert one.draws_text() == other.draws_text()

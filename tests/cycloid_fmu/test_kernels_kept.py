@@ -54,6 +54,7 @@ def test_a_command_runs_where_nothing_can_be_written(tmp_path, command):
     assert len(re.findall("NUMBA_CACHE_DIR", done.stderr)) == 1
 
 
+@pytest.mark.system
 @pytest.mark.skipif(compiling.internals is None, reason="numba alone reads the types before it compares the sources")
 def test_what_an_earlier_version_kept_is_compiled_again(tmp_path):
     """Its kernels may take types that are gone: the folder of an installation outlives an update."""

@@ -223,7 +223,7 @@ share = 1.0
     ("allowed", "depth", "status"),
     [
         pytest.param("3000 MPa", "", 0, marks=pytest.mark.slow(3)),
-        ("500 MPa", 'wear_depth = "1 um"', edge.NOT_MET),
+        pytest.param("500 MPa", 'wear_depth = "1 um"', edge.NOT_MET, marks=pytest.mark.slow(2)),
         pytest.param("3000 MPa", 'wear_depth = "1 um"', edge.NOT_MET, marks=pytest.mark.slow(3)),
     ],
 )
@@ -333,6 +333,7 @@ def test_wear_is_judged_where_it_is_deepest_and_says_when_the_limit_was_reached(
     assert kept.margin == pytest.approx(2e-6)
 
 
+@pytest.mark.slow(2)
 def test_a_catalogue_s_stiffness_is_a_compliance_in_series():
     """As drawn the drive then has the catalogue's stiffness; with errors it has the same compliance in series."""
     drive = cy.read_drive(EXAMPLES / "rv-20e-bearings.toml")

@@ -301,6 +301,7 @@ def test_bad_files_are_one_sentence(tmp_path, content, said):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.slow(2)
 def test_measured_from_the_command_line(command, tmp_path):
     rows = list(measure(SMALL, nominal_surface(SMALL), NOISE, 0, FRAME, along=12, across=2))
     rows[40] = (*rows[40][:3], rows[40][3] + 1e-4, rows[40][4] + 1e-4, rows[40][5])

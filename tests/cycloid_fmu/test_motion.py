@@ -158,6 +158,7 @@ def test_rigid_supports_change_nothing():
     assert one.force.sum(axis=4) == pytest.approx(other.force.sum(axis=4), abs=0.5)
 
 
+@pytest.mark.slow(2)
 def test_form_and_wear_raise_the_close_up():
     drive = cy.Drive(MODIFIED)
     worn = np.zeros((1, 39, 50, 1))
@@ -229,6 +230,7 @@ def on_page(page, disc):
     return x + 1j * y
 
 
+@pytest.mark.system
 def test_the_page_shows_what_the_library_computes_and_asks_for_nothing(shown):
     page, motion = shown
     assert page.said == []
@@ -250,6 +252,7 @@ def test_the_page_shows_what_the_library_computes_and_asks_for_nothing(shown):
     assert page.locator("#load-value").inner_text() == "0 N·m"
 
 
+@pytest.mark.system
 def test_the_page_plays_and_has_room_on_a_telephone(shown):
     page, motion = shown
     assert page.evaluate("document.documentElement.scrollWidth") <= 420

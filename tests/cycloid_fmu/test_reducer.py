@@ -328,6 +328,7 @@ def test_bearings_give_more_play_than_the_closed_form(cranks, more):
     assert 'clearance = "8 um", but [deviations] crank_bearing_clearance = "2 um"' in said[-1]
 
 
+@pytest.mark.slow(2)
 def test_budget_from_the_command_line(command, tmp_path):
     (tmp_path / "rv-20e.toml").write_text(TEXT)
     run = command("cycloid-fmu", "budget", "rv-20e.toml", "--samples", 100, "--plot", "b.png")

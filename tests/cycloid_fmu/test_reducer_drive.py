@@ -208,6 +208,7 @@ def test_planets_without_a_number_have_no_stiffness():
         parse_reducer(TEXT.replace("sun_teeth = 12", 'sun_teeth = 12\nface_width = "8 mm"'), "rv.toml")
 
 
+@pytest.mark.slow(2)
 def test_a_reducer_from_the_command_line(command, tmp_path):
     """Analysis and tolerance study of a reducer file; contradictions are reported with the results."""
     text = TEXT.replace("discs = 1", "discs = 2").replace("[involute]", SUPPORTS)

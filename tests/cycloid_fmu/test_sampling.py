@@ -232,6 +232,7 @@ def test_bad_tolerances_are_one_sentence(text, said):
         assert part in str(caught.value)
 
 
+@pytest.mark.slow(2)
 def test_sampled_from_the_command_line(command, tmp_path):
     words = ("cycloid-fmu", "surface", "sampled", EXAMPLES / "drive-39-40.toml", "--tolerances")
     sizes = ("--profile", 12, "--width", 3, "--angle", 8)

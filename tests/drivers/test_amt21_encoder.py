@@ -92,6 +92,7 @@ def test_a_word_with_wrong_check_bits_is_never_used_as_an_angle(tmp_path):
     assert sum(int(e.text.split()[0]) for e in lost) == 3
 
 
+@pytest.mark.system
 def test_an_address_without_an_encoder_is_named(tmp_path):
     motion = simulate_motion(lambda angle, torque: angle / 40, SimulatedRun(torque=5.0, turns=1))
     with SimulatedAmt21Bench(motion, SimulatedAmt21()) as bench:
@@ -110,6 +111,7 @@ def test_a_missing_port_is_named(tmp_path):
         pass
 
 
+@pytest.mark.system
 def test_an_encoder_that_falls_silent_is_an_event(tmp_path):
     motion = simulate_motion(lambda angle, torque: angle / 40, SimulatedRun(torque=5.0, turns=1, speed=2 * math.pi))
     path = tmp_path / "run.arrows"

@@ -81,6 +81,7 @@ def multicast_works():
 needs_multicast = pytest.mark.skipif(not multicast_works(), reason="this machine's network carries no UDP multicast")
 
 
+@pytest.mark.system
 def test_simulate_record_export(tmp_path, command):
     simulated = command(
         "cycloid-bench",
@@ -111,6 +112,7 @@ def test_simulate_record_export(tmp_path, command):
     np.testing.assert_allclose(torque, -20, atol=1e-3)
 
 
+@pytest.mark.system
 @needs_multicast
 def test_a_bench_in_another_process_is_recorded_without_loss(tmp_path):
     (tmp_path / "bus.toml").write_text(f'format = "cycloid-simulation/1"\n[can]\nchannel = "{GROUP}"\n')
@@ -128,6 +130,7 @@ def test_a_bench_in_another_process_is_recorded_without_loss(tmp_path):
     np.testing.assert_allclose(np.diff(samples["input_angle"].value), 2 * np.pi / 96, atol=4e-6)
 
 
+@pytest.mark.system
 @needs_multicast
 @pytest.mark.parametrize(
     ("number", "code"),
@@ -160,6 +163,7 @@ def test_an_interrupted_recorder_keeps_its_samples(tmp_path, number, code):
     np.testing.assert_allclose(np.diff(recording.samples["input_angle"].value), 2 * np.pi / 96, atol=4e-6)
 
 
+@pytest.mark.system
 def test_an_fmu_drives_the_bench(tmp_path):
     (tmp_path / "gear.py").write_text(GEAR)
     subprocess.run([sys.executable, "-m", "pythonfmu", "build", "-f", "gear.py"], cwd=tmp_path, check=True)

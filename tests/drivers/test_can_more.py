@@ -35,6 +35,7 @@ def ideal(angle, torque):
     return -angle / 39 + 1e-6 * torque
 
 
+@pytest.mark.system
 def test_the_recorder_produces_sync_and_each_sample_answers_one(tmp_path, bus_name):
     motion = simulate_motion(ideal, SimulatedRun(torque=5.0, turns=1, samples_per_turn=100))
     path = tmp_path / "run.arrows"
@@ -190,6 +191,7 @@ def test_speed_and_position_of_one_node_from_its_second_tpdo(tmp_path, bus_name)
     )
 
 
+@pytest.mark.system
 def test_an_encoder_with_a_changed_state_is_still_the_same_device(tmp_path, bus_name):
     """Operating time and alarms may have changed, but not the serial number."""
     toml = wiring(tmp_path, bus_name, POSITION)

@@ -252,6 +252,7 @@ def test_the_nodes_answer_sdo_and_nmt_according_to_cia_406(bus_name):
         assert bench.sent == 0, "a bench is silent until its nodes operate"
 
 
+@pytest.mark.system
 def test_a_bench_ends_when_a_node_is_stopped(tmp_path, bus_name):
     motion = simulate_motion(ideal, SimulatedRun(torque=5.0, turns=1000))
     with SimulatedCanBench(motion, SimulatedCan(interface="virtual", channel=bus_name)) as bench:

@@ -12,6 +12,7 @@ import types
 import can
 import numpy as np
 import pytest
+from common import study_size
 
 from cycloid_fmu import edge
 from drivers import hubs as hubs_module
@@ -30,8 +31,11 @@ from drivers.simulated.motion import SimulatedRun, simulate_motion
 from drivers.simulated.serial_bench import SimulatedAmt21Bench, SimulatedAsciiBench
 from tests.drivers.test_bench_cli import ENVIRONMENT, needs_multicast
 
+pytestmark = pytest.mark.system
+
+
 INPUT, OUTPUT, TORQUE = 0x181, 0x182, 0x2A0
-KILLS = int(os.environ.get("CYCLOID_KILLS", "300"))
+KILLS = study_size("CYCLOID_KILLS", 10, 300)
 needs_pty = pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs pseudo-terminals")
 
 

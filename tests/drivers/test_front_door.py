@@ -19,6 +19,7 @@ print(cost, *{name.partition(".")[0] for name in sys.modules})
 """
 
 
+@pytest.mark.system
 def test_importing_is_fast_and_loads_no_library():
     def measured():
         run = subprocess.run([sys.executable, "-c", COST], capture_output=True, text=True, check=True)

@@ -136,6 +136,7 @@ def test_lost_messages_of_an_odrive_are_counted_and_marked(tmp_path, bus_name, p
     assert (samples.status[1:] & GAP > 0).tolist() == (missing > 0).tolist()
 
 
+@pytest.mark.system
 def test_an_odrive_that_is_not_set_up_to_send_is_one_sentence(tmp_path, bus_name):
     bus = f'[bus.can0]\ninterface = "virtual"\nchannel = "{bus_name}"\n'
     keys = odrive_keys(quantity="torque", side="motor")
@@ -213,6 +214,7 @@ def test_a_moteus_is_queried_once_for_all_its_channels(tmp_path, bus_name, node)
     assert any("1 replies left out" in event.text for event in recording.events)
 
 
+@pytest.mark.system
 def test_a_moteus_that_is_silent_or_on_a_classical_bus_is_one_sentence(tmp_path, bus_name):
     bus = f'[bus.can0]\ninterface = "virtual"\nchannel = "{bus_name}"\n'
     keys = odrive_keys(protocol="moteus", quantity="position", side="motor")

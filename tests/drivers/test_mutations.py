@@ -1,10 +1,9 @@
 """Mutated frames and bytes: no crash, and no wrong sample that the checksums can detect."""
 
-import os
-
 import hostile
 import numpy as np
 import pytest
+from common import study_size
 
 from cycloid_fmu import edge
 from drivers.can.frames import FrameReader
@@ -19,7 +18,7 @@ from drivers.serial.port import Exchange
 from tests.drivers.test_recording_format import NAMES, block, write
 from tests.drivers.test_serial_encoders import CONFIG, nmea
 
-MUTATIONS = int(float(os.environ.get("CYCLOID_MUTATIONS", "1e6")))
+MUTATIONS = study_size("CYCLOID_MUTATIONS", 1e5, 1e6)
 COUNTS = [4000, pytest.param(MUTATIONS, marks=pytest.mark.slow)]
 PORT = PortConfig(url="loop://")
 

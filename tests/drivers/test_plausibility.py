@@ -3,10 +3,10 @@
 import dataclasses
 import itertools
 import math
-import os
 
 import numpy as np
 import pytest
+from common import study_size
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -18,7 +18,7 @@ from drivers.simulated.buses import SimulatedCan
 from drivers.simulated.motion import SimulatedRun, simulate_hysteresis, simulate_motion
 
 ARCMIN = math.pi / 10800
-EXAMPLES = int(float(os.environ.get("CYCLOID_MUTATIONS", "1e6")) / 1e3)  # per check in the slow set
+EXAMPLES = study_size("CYCLOID_MUTATIONS", 1e5, 1e6) // 1000  # per check in the slow set
 
 
 @dataclasses.dataclass
@@ -175,7 +175,7 @@ CHECKS = {
 
 
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
-@pytest.mark.parametrize("examples", [12, pytest.param(EXAMPLES, marks=pytest.mark.slow(60))])
+@pytest.mark.parametrize("examples", [12, pytest.param(EXAMPLES, marks=pytest.mark.slow(1))])
 def test_any_run_of_a_bench_is_judged_correctly(check, examples):
     wide = settings(max_examples=examples, deadline=None, suppress_health_check=[HealthCheck.too_slow])
     given(**CHECKS[check])(wide(check))()

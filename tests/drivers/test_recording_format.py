@@ -349,6 +349,7 @@ with RecordingWriter(sys.argv[1], HEADER) as writer:
 """
 
 
+@pytest.mark.system
 def test_a_killed_recorder_leaves_every_flushed_batch_readable(tmp_path):
     path = tmp_path / "run.arrows"
     root = Path(__file__).parents[2]

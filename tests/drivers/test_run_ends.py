@@ -21,6 +21,9 @@ from drivers.simulated.can_bench import SimulatedCanBench
 from drivers.simulated.motion import SimulatedRun, simulate_motion
 from tests.drivers.test_bench_cli import ENVIRONMENT, needs_multicast
 
+pytestmark = pytest.mark.system
+
+
 ROOT = str(Path(__file__).parents[2])
 
 

@@ -100,6 +100,7 @@ def some(encoder, count=3):
     return found[0]
 
 
+@pytest.mark.system
 def test_modbus_registers_are_the_position(modbus_line):
     with modbus(modbus_line, counts_per_turn=1 << 18) as encoder:
         encoder.start()
@@ -280,6 +281,7 @@ def _counted(raw):
     return unwrap(raw, 4096, None, signed=True)[0]
 
 
+@pytest.mark.system
 def test_a_port_may_be_a_socket(tmp_path):
     """`socket://`, as of a serial device server; here it sends lines."""
     server = socket.create_server(("127.0.0.1", 0))
@@ -340,6 +342,7 @@ class _Line(serial.Serial):
     _update_dtr_state = _update_rts_state
 
 
+@pytest.mark.system
 def test_a_port_may_be_a_serial_device_server_by_rfc_2217(tmp_path, monkeypatch):
     """pyserial's server between a TCP connection and the simulated line passes on baud rate and bytes."""
     monkeypatch.setattr(serial_port, "ANSWER_SECONDS", 1.0)  # a busy machine delays the simulated encoder

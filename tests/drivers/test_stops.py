@@ -19,6 +19,7 @@ from pathlib import Path
 import can
 import numpy as np
 import pytest
+from common import study_size
 
 from drivers import recording_format as rf
 from drivers.recording_format import read_recording
@@ -31,7 +32,10 @@ from tests.drivers.test_bench_cli import ENVIRONMENT, filled, needs_multicast
 from tests.drivers.test_motor_controllers import moteus as replying
 from tests.drivers.test_motor_controllers import sending
 
-STOPS = int(os.environ.get("CYCLOID_STOPS", "100"))
+pytestmark = pytest.mark.system
+
+
+STOPS = study_size("CYCLOID_STOPS", 2, 100)
 SHORTEST, LONGEST = 0.1, 5.0  # s
 CAN_BUFFER, SERIAL_BUFFER = 1 << 16, 4095  # bytes: a fifth of a second of frames, half a second of lines
 GROUP = f"239.78.{os.getpid() // 256 % 256}.{os.getpid() % 256}"

@@ -130,6 +130,7 @@ def test_a_slow_client_skips_to_the_newest(tmp_path, serve):
         assert server.newest.after(0, 0.0)[1] == text or server.newest.after(0, 0.0)[0] > now
 
 
+@pytest.mark.system
 @pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
 def test_a_real_browser_shows_it(tmp_path, serve):
     from playwright.sync_api import sync_playwright
@@ -218,6 +219,7 @@ def test_an_invalid_request_is_refused_and_nothing_is_printed(tmp_path, serve, c
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.system
 def test_slow_or_surplus_clients_are_disconnected(tmp_path, serve, monkeypatch):
     monkeypatch.setattr(page_server, "REQUEST_SECONDS", 0.5)
     with RecordingWriter(tmp_path / "run.arrows", HEADER):

@@ -419,6 +419,7 @@ def test_a_drive_without_a_forecast_has_no_age():
         cy.Drive(pair_of(11)).after(5.0)
 
 
+@pytest.mark.slow(2)
 def test_forecast_from_the_command_line(command, tmp_path):
     (tmp_path / "pair.toml").write_text(pair_of(11).text)
     (tmp_path / "wear.toml").write_text(

@@ -160,6 +160,7 @@ def test_derivatives_by_bearings_and_single_displacements_are_those_of_other_dri
         assert linear.scatter[:, at] == pytest.approx(slope, abs=2e-3 * np.abs(slope).max()), name
 
 
+@pytest.mark.slow(2)
 def test_the_play_on_bearings_has_the_derivatives_of_other_drives():
     pair = cranked(1)
     surface = with_structured(surface_of_pair(pair), {"pin_radius": -4e-6})

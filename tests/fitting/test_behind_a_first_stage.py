@@ -83,6 +83,7 @@ def test_errors_and_play_of_a_reducer_are_found_through_its_first_stage(tmp_path
     assert "first_stage_play" in (tmp_path / "fit.html").read_text()
 
 
+@pytest.mark.slow(2)
 def test_a_plan_for_a_reducer_lists_its_stage():
     *_, last = fitting.plan(reducer(), [20.0, 150.0], turns=1.0, samples=12)
     assert len(last.standard_error) > 10

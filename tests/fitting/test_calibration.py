@@ -1,9 +1,8 @@
 """Whether the truth ranks uniformly among draws from an identification."""
 
-import os
-
 import numpy as np
 import pytest
+from common import study_size
 from simulation_based_calibration import DRAWS, away, band, by_name, ranks, uniformity
 
 
@@ -38,8 +37,8 @@ def test_the_band_holds_95_of_100_studies():
 
 @pytest.mark.slow(60)
 def test_the_truth_ranks_uniformly(record_property):
-    """A tenth of CYCLOID_SEEDS drives, else of 200; docs/identify.md has all of them."""
-    every = [ranks(seed) for seed in range(max(10, int(os.environ.get("CYCLOID_SEEDS", "200")) // 10))]
+    """A tenth of CYCLOID_SEEDS drives, at least ten; docs/identify.md has all of them."""
+    every = [ranks(seed) for seed in range(max(10, study_size("CYCLOID_SEEDS", 5, 200) // 10))]
     stated = [one for one in every if one["ranks"]]
     assert len(stated) >= 0.9 * len(every)
     found = by_name(stated)

@@ -76,6 +76,7 @@ def test_flank_and_drags_are_found_from_runs_at_two_loads():
     assert fit.coefficients["input_drag.viscous"].unit == "N*m*s/rad"
 
 
+@pytest.mark.slow(2)
 def test_without_noise_the_coefficients_are_exact():
     fit = fitting.loss_coefficients(
         fitting.friction([run(TRUE, load) for load in (60.0, 150.0)], ratio=-39.0), drive(STATED)
@@ -93,6 +94,7 @@ def test_runs_without_load_find_the_drags_alone():
     assert fit.coefficients["input_drag.coulomb"].value == pytest.approx(0.08, rel=0.05)
 
 
+@pytest.mark.slow(3)
 def test_a_negative_coefficient_is_held_and_said():
     slight = {**TRUE, "input_drag": {"coulomb": 0.03, "viscous": 4e-4}}
     runs = [run(slight, load, noise=0.02, seed=k) for k, load in enumerate((60.0, 150.0))]
@@ -109,6 +111,7 @@ def test_a_drive_without_friction_or_with_a_first_stage_has_no_coefficients():
     assert fitting.friction(idle, ratio=-39.0).coefficients == {}
 
 
+@pytest.mark.slow(3)
 def test_loops_give_the_flanks_coefficient_at_rest(tmp_path):
     """mu of a loop is (1 - η_f η_b)/(1 + η_f η_b) of the efficiencies from rest."""
     resting = {**TRUE, "flank": {"friction_coefficient": 0.05, "static_friction_coefficient": 0.13}, "input_drag": {}}
@@ -129,6 +132,7 @@ def test_loops_give_the_flanks_coefficient_at_rest(tmp_path):
     assert any("no coefficient of the flanks at rest" in note for note in none.notes)
 
 
+@pytest.mark.slow(1)
 def test_the_command_states_the_coefficients(tmp_path):
     """A pair with friction has them beside the figures, in the table and in JSON; one that can't says why."""
     drive(STATED).write(tmp_path / "pair.toml")

@@ -23,6 +23,7 @@ def test_only_what_was_changed_moves():
     assert "torsional_stiffness.positive" in changes
 
 
+@pytest.mark.slow(6)
 def test_the_same_drive_measured_again_seldom_moves():
     figures = [figures_from(*noisy(seed)).figures for seed in range(40)]
     moved = [c.moved for a, b in zip(figures[::2], figures[1::2], strict=True) for c in changes_between(a, b)[0]]
@@ -41,6 +42,7 @@ def test_what_can_not_be_compared_is_said():
     assert "use the same rated torque for both" in notes[0]
 
 
+@pytest.mark.slow(2)
 def test_compare_from_the_command_line(command, tmp_path):
     """A recording against figures that were written before."""
     for name, play in (("a", 0.6), ("b", 0.7)):

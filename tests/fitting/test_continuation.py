@@ -40,6 +40,7 @@ def resolved(result):
     return {p.name: p for p in result.parameters if p.held is None}
 
 
+@pytest.mark.slow(2)
 def test_a_fit_from_the_posterior_of_another_is_that_of_all_curves(measured, curves, drive, before, after):
     """Bayes' theorem, with a noise and a scatter that each fit estimates by itself."""
     both = resolved(fitting.identify([*measured(1), *curves], drive, held_out=False))
@@ -56,6 +57,7 @@ def test_a_fit_from_the_posterior_of_another_is_that_of_all_curves(measured, cur
     assert gained == pytest.approx(0.5, abs=0.1)
 
 
+@pytest.mark.slow(2)
 def test_a_recalibration_without_drift_is_this_fit(curves, drive, before):
     """It allows for a coarse encoder's orders and a friction of each run too, and takes the noise as known."""
     fit = fitting.identify(curves, drive, prior=before.drive, form=0.0)
@@ -97,6 +99,7 @@ def test_measurements_of_some_unknowns_move_those_that_depend_on_them(drive):
     assert np.linalg.lstsq(columns[:, 1:], values, rcond=None)[0] == pytest.approx([0.2, 10.0])
 
 
+@pytest.mark.slow(2)
 def test_the_file_is_the_prior(curves, drive, before, after, tmp_path):
     before.write(tmp_path / "fit.json")
     read = read_posterior(tmp_path / "fit.json", drive)

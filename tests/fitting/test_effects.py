@@ -3,14 +3,13 @@
 import dataclasses
 import html
 import json
-import os
 import re
 import shutil
 
 import numpy as np
 import pytest
 from benches_as_they_are import EFFECTS, identified
-from common import EXAMPLES
+from common import EXAMPLES, study_size
 from sampled_drives import SMALL
 
 import fitting
@@ -28,7 +27,7 @@ from fitting.estimation.run_out import RunOut
 from fitting.reports.report import report
 
 ARCSEC = np.pi / 648000
-SEEDS = int(os.environ.get("CYCLOID_SEEDS", "100"))
+SEEDS = study_size("CYCLOID_SEEDS", 5, 100)
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 RUN_OUT = {1: 90.0, 2: 3.0, 3: 1.4}  # order of the output: amplitude, arcsec
 
@@ -131,6 +130,7 @@ def test_the_report_begins_with_what_to_correct(found, tmp_path):
     assert "unknown which pin is number 0" in text
 
 
+@pytest.mark.system
 def test_the_report_fits_a_screen_of_1280_pixels(found, nominal, tmp_path):
     """Also with two discs, whose tables are the widest."""
     playwright = pytest.importorskip("playwright.sync_api")

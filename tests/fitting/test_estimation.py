@@ -222,6 +222,7 @@ def test_a_fit_that_leaves_what_is_possible_ends_at_its_bound_and_says_so(simple
     assert any("pin_radius ends at 0.0005 mm, as far as it can be" in n for n in found.notes)
 
 
+@pytest.mark.slow(2)
 def test_a_profile_is_the_interval_by_standard_error_where_the_model_is_linear(simple, nominal):
     _, observed = simple
     found = fit(nominal, observed, ERRORS, at_nominal(nominal, observed), {}, gain=1e-3, estimated=False)
@@ -317,6 +318,7 @@ def test_a_torque_that_swings_unseen_is_named(simple, nominal, seed):
     assert max(abs(z) for z in distances(found, nominal, made).values()) < 4.0
 
 
+@pytest.mark.slow(1)
 @pytest.mark.parametrize("pattern", ["pin_tangential", "tooth_cumulative_pitch"])
 def test_errors_of_pins_and_teeth_are_never_swapped(nominal, pattern):
     made = with_structured(surface_of_pair(nominal), {f"{pattern}_2_cos": 3e-6, f"{pattern}_3_sin": -2e-6})

@@ -13,6 +13,7 @@ from cycloid_fmu import edge
 from cycloid_fmu.drive import read_drive
 
 
+@pytest.mark.system
 def test_importing_costs_next_to_nothing_and_every_name_is_there():
     code = "import sys, time; t = time.process_time(); import fitting; assert 'numpy' not in sys.modules; "
     run = subprocess.run(

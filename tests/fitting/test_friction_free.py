@@ -3,11 +3,10 @@
 import dataclasses
 import json
 import math
-import os
 
 import numpy as np
 import pytest
-from common import MEASURED, MOTOR_MAPPING
+from common import MEASURED, MOTOR_MAPPING, study_size
 
 import fitting
 import fitting.figures.metrics
@@ -145,6 +144,7 @@ def test_a_pass_in_one_direction_alone_has_no_mid_curve():
     assert friction_free(part) is None
 
 
+@pytest.mark.slow(1)
 def test_the_file_has_the_figures_in_si_and_the_table_shows_them(tmp_path, command):
     written(Rig(torque_noise=0.3), tmp_path)
     done = command("cycloid-fit", "metrics", "loop.csv", "--mapping", "m.toml", "-o", "figures.json", "--plot", "f.png")
@@ -314,11 +314,11 @@ RIGS = {
 }
 
 
-@pytest.mark.slow(60)
+@pytest.mark.slow(1)
 @pytest.mark.parametrize("kind", RIGS)
 def test_intervals_hold(kind, record_property):
     """Nine of ten drives lie inside or more, and half of the intervals are below 15 % of the value."""
-    rig, count = RIGS[kind], max(20, 5 * int(os.environ.get("CYCLOID_SEEDS", "40")))
+    rig, count = RIGS[kind], max(20, 5 * study_size("CYCLOID_SEEDS", 5, 40))
     inside, wide = dict.fromkeys(rig.truth(1.0), 0), {name: [] for name in rig.truth(1.0)}
     for seed in range(count):
         found = friction_free(rig.loop_data(seed))

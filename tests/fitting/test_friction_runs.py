@@ -3,11 +3,10 @@
 import dataclasses
 import json
 import math
-import os
 
 import numpy as np
 import pytest
-from common import MEASURED, MOTOR_MAPPING
+from common import MEASURED, MOTOR_MAPPING, study_size
 from scipy.signal import lfilter
 
 import cycloid_fmu as cy
@@ -231,6 +230,7 @@ def test_starts_from_rest_give_the_starting_torque():
     assert any("too briefly" in note for note in found.notes)
 
 
+@pytest.mark.slow(2)
 def test_measured_friction_is_the_friction_of_the_fmu(tmp_path, command, nominal):
     """Recording, friction file, FMU and a recording of its flanges: the same friction again, at every load."""
     rigs = [Rig(growth=0.1, load=load, name=f"at {load}", **RIPPLE) for load in (0.0, 20.0, 40.0)]
@@ -326,11 +326,11 @@ RIGS = {
 }
 
 
-@pytest.mark.slow(120)
+@pytest.mark.slow(2)
 @pytest.mark.parametrize("kind", RIGS)
 def test_intervals_hold(kind, record_property):
     """Of simulated drives nine of ten lie inside or more, and intervals are not far wider than the errors."""
-    rigs, count = RIGS[kind], max(20, 4 * int(os.environ.get("CYCLOID_SEEDS", "40")))
+    rigs, count = RIGS[kind], max(20, 4 * study_size("CYCLOID_SEEDS", 5, 40))
     speeds = None if kind == "Stribeck" else ("0.1 rev/s", "1 rev/s")
     rig = rigs[0]
     warm = 1.0 + rig.warming * 0.3 * (1.0 - math.exp(-1.0 / 0.3))  # the mean over the recording

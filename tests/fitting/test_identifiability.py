@@ -74,6 +74,7 @@ def test_orders_of_pins_and_teeth_are_their_own(nominal):
         assert (amplitude[(orders % own != 0) & (orders < 1100)] < 1e-6 * amplitude.max()).all(), name
 
 
+@pytest.mark.slow(1)
 def test_outliers_are_left_out_and_missing_arcs_do_not_matter(measured, nominal, made):
     curves = measured(6)
     error = curves[0].transmission_error.copy()
@@ -212,6 +213,7 @@ def test_the_ensemble_s_band_is_as_wide_as_the_fit_is_uncertain(found, nominal, 
     assert width.max() < 1.0 * ARCSEC
 
 
+@pytest.mark.slow(2)
 def test_plan_and_ensemble_from_the_command_line(command, found, nominal, tmp_path):
     (tmp_path / "pair.toml").write_text(nominal.text)
     write_surface(found.surface, tmp_path / "s.nc")

@@ -1,10 +1,9 @@
 import dataclasses
 import json
-import os
 
 import numpy as np
 import pytest
-from common import BENCH
+from common import BENCH, study_size
 from scipy.special import stdtrit
 
 import fitting
@@ -207,8 +206,8 @@ def test_choose_never_takes_what_is_not_known():
 
 @pytest.mark.slow
 def test_coverage_where_noise_is_all_that_blurs(measured, nominal, made, record_property):
-    """Pooled over the fitted errors the 95 % intervals hold the truth; CYCLOID_SEEDS seeds of noise, else 200."""
-    seeds = int(os.environ.get("CYCLOID_SEEDS", "200"))
+    """Pooled over the fitted errors the 95 % intervals hold the truth; CYCLOID_SEEDS seeds of noise."""
+    seeds = study_size("CYCLOID_SEEDS", 5, 200)
     distances = [
         list(standardised(identify(measured(1000 + s), Drive(nominal), held_out=False), made).values())
         for s in range(seeds)
@@ -244,8 +243,8 @@ OTHERS = {39: None, 31: (62e-3, 3e-3, 1.2e-3), 19: (55e-3, 4e-3, 1.8e-3)}
 @pytest.mark.slow(20)
 @pytest.mark.parametrize("teeth", OTHERS)
 def test_coverage_of_the_intervals(nominal, teeth, record_property):
-    """The 95 % intervals hold the truth in drives whose pins scatter by 2 µm; CYCLOID_SEEDS drives, else 200."""
-    drives = int(os.environ.get("CYCLOID_SEEDS", "200"))
+    """The 95 % intervals hold the truth in drives whose pins scatter by 2 µm; CYCLOID_SEEDS drives."""
+    drives = study_size("CYCLOID_SEEDS", 5, 200)
     pair, loads = nominal, (20.0, -20.0, 60.0, -60.0, 200.0, -200.0)
     if teeth != 39:
         circle, pin, crank = OTHERS[teeth]

@@ -6,11 +6,11 @@ SciPy's integrators. Then one drive goes the whole way: recorded, identified, an
 
 import dataclasses
 import itertools
-import os
 
 import numpy as np
 import pytest
 import second_drive
+from common import study_size
 from joint_plant import ARCSEC, PERFECT, Friction, Profile, Sensors, Servo, bent, level, moved, pressed, quintic
 from judged_joint import CASES, RATED, WINDUP, Perfect, Remembering, drive_of, found_of, joint_of, judged, outcomes
 from sampled_drives import SMALL
@@ -179,14 +179,17 @@ def test_a_recorded_drive_is_moved_by_what_was_identified(record_property):
 
 
 @pytest.mark.slow(25)
-@pytest.mark.parametrize("case", CASES)
-@pytest.mark.parametrize("seed", range(max(1, int(os.environ.get("CYCLOID_SEEDS", "200")) // 100)))
-def test_several_drives_in_every_case(seed, case):
+@pytest.mark.parametrize(
+    "made", dict.fromkeys(case.made for case in CASES.values()), ids=["as made", "with a form", "on springs"]
+)
+@pytest.mark.parametrize("seed", range(max(1, study_size("CYCLOID_SEEDS", 5, 200) // 100)))
+def test_several_drives_in_every_case(seed, made):
     """With any wrong knowledge of a drive, no controller makes the joint worse; a hundredth of CYCLOID_SEEDS drives.
 
     With a wrong index or another drive, not even for a moment where no index is stated: the band covers the rest.
     """
-    for motion, _, controller, encoder, one in outcomes(SMALL, seed, cases=(case,), profiles=("robot",)):
+    cases = tuple(name for name, case in CASES.items() if case.made == made)  # of one drive, recorded and fitted once
+    for motion, case, controller, encoder, one in outcomes(SMALL, seed, cases=cases, profiles=("robot",)):
         assert one.rms < one.plain_rms, (motion, case, controller, encoder)
         unstated = controller == "no index stated" and not encoder
         if unstated and case in ("index wrong by five pins", "another drive"):

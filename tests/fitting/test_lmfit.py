@@ -181,6 +181,7 @@ def test_lmfit_ends_where_gauss_newton_steps_on_all_unknowns_do(plain):
     assert search.end.misfit <= estimate.misfit_with_priors * (1.0 + 1e-12)
 
 
+@pytest.mark.slow(1)
 def test_at_the_ends_of_a_profile_the_fit_is_worse_by_the_square_of_the_quantile(given, plain):
     """The best fit with the error held there is found by Gauss-Newton steps on all unknowns, without lmfit."""
     name, search = "pin_radius", Search(plain.search.start)
@@ -204,6 +205,7 @@ def test_at_the_ends_of_a_profile_the_fit_is_worse_by_the_square_of_the_quantile
         assert estimate.misfit - search.end.misfit == pytest.approx(1.96**2, rel=0.05)
 
 
+@pytest.mark.slow(1)
 def test_lmfit_reports_the_result_and_files_hold_ties(given, runs, drive, tmp_path):
     tied = changed(given, **{TIED: {"expr": f"2 * {OF}"}})
     with (tmp_path / "parameters.json").open("w") as file:
@@ -220,6 +222,7 @@ def test_lmfit_reports_the_result_and_files_hold_ties(given, runs, drive, tmp_pa
     assert written[TIED].value == pytest.approx(2.0 * written[OF].value)
 
 
+@pytest.mark.slow(12)
 def test_the_command_takes_a_file_of_parameters(command, tmp_path):
     drive = read_drive(BENCH / "pair.toml")
     given = fitting.parameters(fitting.read_recordings(str(BENCH / "*.csv")), drive)

@@ -224,6 +224,7 @@ def test_loops_alone_are_refused(nominal, loop):
         identify(loop, Drive(nominal))
 
 
+@pytest.mark.slow(2)
 def test_loops_among_recordings_on_the_command_line(command, made, measured, tmp_path, nominal):
     (tmp_path / "pair.toml").write_text(nominal.text)
     header = "time [s],input_angle [rad],output_angle [rad],torque [N*m]"

@@ -76,8 +76,19 @@ def steady(play, thresholds):
 
 
 @pytest.mark.parametrize("drift", [0.0, 0.3, -0.3])
-@pytest.mark.parametrize("thresholds", [COULOMB, SPREAD], ids=["Coulomb", "Maxwell slip"])
-@pytest.mark.parametrize("lobes", [[1, -1], [-1, 1], [1, -1, 1], [1, -1] * 3], ids=len)
+@pytest.mark.parametrize(
+    "thresholds", [COULOMB, pytest.param(SPREAD, marks=pytest.mark.slow(2))], ids=["Coulomb", "Maxwell slip"]
+)
+@pytest.mark.parametrize(
+    "lobes",
+    [
+        [1, -1],
+        [-1, 1],
+        pytest.param([1, -1, 1], marks=pytest.mark.slow(1)),
+        pytest.param([1, -1] * 3, marks=pytest.mark.slow(3)),
+    ],
+    ids=len,
+)
 def test_a_drift_is_taken_off_and_the_intervals_hold_the_truth(lobes, thresholds, drift):
     """95 % intervals over seeds; a drift of 0.3′ moved the hysteresis loss of a single loop by 0.15′, 15 of its own."""
     torque = swung(lobes)
@@ -114,6 +125,7 @@ def test_friction_that_differs_from_side_to_side_is_no_drift():
     assert found.figures["torsional_stiffness"].value * ARCMIN == pytest.approx(STIFFNESS, rel=0.005)
 
 
+@pytest.mark.slow(4)
 @pytest.mark.parametrize("thresholds", [STRONG, STRONG_SPREAD], ids=["Coulomb", "Maxwell slip"])
 def test_a_virgin_loop_gives_the_lost_motion_of_a_steady_one(thresholds):
     """Friction of 6 % of the rated torque: with the virgin branch lost motion was 0.57′, not 0.33′."""

@@ -86,6 +86,7 @@ def test_an_unknown_zero_gives_no_stiffness(found):
     assert "zero_reference" in without.attrs["notes"]
 
 
+@pytest.mark.slow(2)
 def test_maps_are_written_and_drawn(found, tmp_path):
     write_maps(found, tmp_path / "maps.nc")
     read = xr.load_dataset(tmp_path / "maps.nc")
@@ -99,6 +100,7 @@ def test_maps_are_written_and_drawn(found, tmp_path):
     assert (tmp_path / "maps.png").stat().st_size > 20000
 
 
+@pytest.mark.slow(1)
 def test_maps_from_the_command_line(command, tmp_path):
     for load in (100, 200):
         error = (40 * np.cos(TURN) + load / 20 * np.cos(39 * TURN)) * ARCSEC + load / STIFFNESS

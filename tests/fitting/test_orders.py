@@ -2,17 +2,17 @@
 
 import dataclasses
 import json
-import os
 
 import numpy as np
 import pytest
+from common import study_size
 
 from fitting.figures.metrics import figures_of
 from fitting.figures.survey import survey
 from fitting.readers.recording import Recording
 from fitting.reports.figures_report import write_figures_report
 
-SEEDS = int(os.environ.get("CYCLOID_SEEDS", "100"))
+SEEDS = study_size("CYCLOID_SEEDS", 5, 100)
 ARCMIN = np.pi / 10800
 PULLEY = 3.34615
 WHOLE = {1: (4.3, 0.3), 2: (6.5, 1.0), 15: (4.2, 2.0), 32: (3.3, 0.2)}
@@ -134,6 +134,7 @@ def test_the_command_prints_the_largest_orders_and_writes_all(command, tmp_path)
     assert one["turn_averaging"].keys() >= {"variance_share_removed", "peak_to_peak_of_one_turn"}
 
 
+@pytest.mark.slow(2)
 def test_a_report_has_the_orders_that_averaging_removes(tmp_path):
     found = figures(run(WHOLE | OTHERS, pulley=-PULLEY))
     write_figures_report(found, tmp_path / "report.html")

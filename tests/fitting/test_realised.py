@@ -1,9 +1,8 @@
 """Every pin and every tooth of this ring: gauge, intervals, and how near they come to the truth."""
 
-import os
-
 import numpy as np
 import pytest
+from common import study_size
 from realised_rings import figures_of, ring, rms
 from sampled_drives import ARCSEC, SMALL
 
@@ -165,8 +164,8 @@ def test_a_plan_foretells_pins_and_teeth_and_the_run_that_helps(one_ring, small)
 
 @pytest.mark.slow(20)
 def test_pins_and_teeth_of_random_rings(nominal, record_property):
-    """Half of CYCLOID_SEEDS rings of 39/40, else of 200: 2 µm in places of pins and teeth, 0.3 µm in radii, 0.5″."""
-    rings = max(1, int(os.environ.get("CYCLOID_SEEDS", "200")) // 2)
+    """Half of CYCLOID_SEEDS rings of 39/40: 2 µm in places of pins and teeth, 0.3 µm in radii, 0.5″."""
+    rings = max(1, study_size("CYCLOID_SEEDS", 5, 200) // 2)
     figures = {}
     for number in range(rings):
         for name, one in figures_of(*ring(nominal, number)).items():

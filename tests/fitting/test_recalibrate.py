@@ -326,6 +326,7 @@ def test_a_plan_promises_what_a_visit_keeps(case, result):
     assert next(one for one in wanted if one.runs == both.runs).turns == 5
 
 
+@pytest.mark.slow(1)
 def test_it_is_drawn(case, result, tmp_path):
     fitting.plot(result, tmp_path / "r.png")
     fitting.plot(plan_visit(case[0], [6.0, 120.0], crank_turns=TURNS, bits=BITS), tmp_path / "p.png")
@@ -350,6 +351,7 @@ def test_wrong_arguments_are_named(case):
         plan_visit(drive, [], crank_turns=1e6, bits=17)
 
 
+@pytest.mark.slow(2)
 def test_from_the_command_line(case, command, tmp_path):
     drive, *_, runs = case
     Drive(drive.pair).write(tmp_path / "pair.toml")

@@ -61,6 +61,7 @@ def page(found, tmp_path_factory):
         browser.close()
 
 
+@pytest.mark.system
 def test_a_name_is_no_link(page, tmp_path):
     """Plotly makes links and bold words of tags in names."""
     name = '<a href="https://example.org/">run</a> <b>1</b> & co'
@@ -76,6 +77,7 @@ def test_a_name_is_no_link(page, tmp_path):
     opened.close()
 
 
+@pytest.mark.system
 def test_a_browser_shows_every_panel_and_asks_for_nothing_else(page, found):
     assert page.said == []
     assert len(page.asked) == 1  # the file itself
@@ -86,6 +88,7 @@ def test_a_browser_shows_every_panel_and_asks_for_nothing_else(page, found):
     assert {"39 pin", "40 tooth", "78 pin", "1560 mesh"} <= set(labels)
 
 
+@pytest.mark.system
 def test_the_page_holds_every_figure_and_every_note(page, found):
     rows = page.locator("#figures tr.figure")
     assert rows.count() == len(found.shown) == 12
@@ -96,6 +99,7 @@ def test_the_page_holds_every_figure_and_every_note(page, found):
     assert any("torque is always positive" in note for note in found.notes)
 
 
+@pytest.mark.system
 def test_hovering_tells_a_point_and_dragging_zooms(page):
     page.locator("#panel-0").scroll_into_view_if_needed()
     box = page.locator("#panel-0 .nsewdrag").bounding_box()
@@ -111,6 +115,7 @@ def test_hovering_tells_a_point_and_dragging_zooms(page):
     assert page.evaluate(width) == pytest.approx(0.3 * before, rel=0.1)
 
 
+@pytest.mark.system
 def test_on_a_narrow_screen_nothing_is_cut_off(page):
     page.set_viewport_size({"width": 420, "height": 800})
     page.wait_for_function("document.querySelector('#panel-0 .main-svg').getBoundingClientRect().width < 420")

@@ -1,9 +1,8 @@
 """Turns that are not in step with the crank: samples of one turn lie between those of another, where pins touch."""
 
-import os
-
 import numpy as np
 import pytest
+from common import study_size
 from sampled_drives import ARCSEC, LOADS, SAMPLINGS, SMALL, coverage, distances, random_drive, recorded
 
 import fitting
@@ -52,8 +51,8 @@ def test_pins_that_stand_one_for_the_other_are_found(nominal):
 
 @pytest.mark.slow(10)
 def test_coverage_of_every_sampling(small, record_property):
-    """95 % intervals hold the truth, in step and out; a tenth of CYCLOID_SEEDS drives, else of 200; some with few."""
-    seeds = int(os.environ.get("CYCLOID_SEEDS", "200"))
+    """95 % intervals hold the truth, in step and out; a tenth of CYCLOID_SEEDS drives; some with few."""
+    seeds = study_size("CYCLOID_SEEDS", 5, 200)
     drives = max(1, seeds // 10)
     for each, turns in SAMPLINGS[:: 1 if seeds >= 40 else 3]:
         found = np.concatenate([[*one.values()] for one in coverage(small, each, turns, drives)])

@@ -187,6 +187,7 @@ def test_a_bad_export_is_one_sentence(tmp_path, change, said):
     assert "\n" not in str(problem.value)
 
 
+@pytest.mark.slow(1)
 @settings(max_examples=150, deadline=None)
 @given(st.data())
 def test_any_damage_is_read_or_a_sentence(tmp_path_factory, data):

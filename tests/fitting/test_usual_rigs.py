@@ -160,6 +160,7 @@ def test_a_clock_in_ticks_goes_to_the_figures_of_the_loop(command, tmp_path):
         assert found[name]["value"] == pytest.approx(value, rel=0.01), name
 
 
+@pytest.mark.slow(1)
 def test_rigs_with_other_headers_share_a_report(command, tmp_path, made):
     """Each file takes the mapping whose columns it has; one with our names needs none; both is a sentence."""
     crank, output = turned(made, 200.0)
@@ -248,6 +249,7 @@ def counted_ticks(path, torque, output, crank=None):
 RIGS = {"German": (quoted_in_german, 24), "French": (stamped_in_french, 24), "ticks": (counted_ticks, 48)}
 
 
+@pytest.mark.slow(2)
 @pytest.mark.parametrize("rig", RIGS)
 def test_a_rig_s_loop_and_run_go_from_inspect_to_a_report(command, tmp_path, made, rig):
     """The figures are those of the simulated drive and joint; the loop's mapping suits the run too, with less of it."""

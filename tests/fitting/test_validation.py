@@ -2,11 +2,11 @@
 
 import json
 import math
-import os
 
 import numpy as np
 import pytest
 from benches_as_they_are import EFFECTS, identified, is_right, names, outcome, scores
+from common import study_size
 from sampled_drives import ARCSEC, SMALL
 
 from cycloid_fmu import edge
@@ -120,10 +120,10 @@ def test_a_late_clock_is_timed_and_corrected(small):
     assert np.abs([*scores(found, values).values()]).max() < 4.0
 
 
-@pytest.mark.slow(300)
+@pytest.mark.slow(10)
 def test_effects_are_explained_or_told(record_property):
-    """Right causes, few false alarms, coverage; a fortieth of CYCLOID_SEEDS drives, else of 200, or some effects."""
-    seeds = int(os.environ.get("CYCLOID_SEEDS", "200"))
+    """Right causes, few false alarms, coverage; a fortieth of CYCLOID_SEEDS drives, or some effects with few."""
+    seeds = study_size("CYCLOID_SEEDS", 5, 200)
     drives = max(1, seeds // 40)
     for effect in list(EFFECTS)[:: 1 if seeds >= 40 else 5]:
         found = [outcome(effect, seed) for seed in range(drives)]

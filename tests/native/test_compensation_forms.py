@@ -551,6 +551,7 @@ def test_the_library_is_clean_under_the_address_and_undefined_behaviour_sanitize
         assert done.returncode in (0, 1), done.stderr
 
 
+@pytest.mark.slow(2)
 @pytest.mark.parametrize("compiler", COMPILERS)
 def test_sources_in_the_fmu_compile_without_a_warning(fmus, tmp_path, compiler):
     for version, path in fmus.items():
@@ -575,6 +576,7 @@ def fit(tmp_path):
     return path
 
 
+@pytest.mark.slow(1)
 def test_the_command_writes_what_the_library_does(command, tmp_path, fit):
     words = (EXAMPLES / "drive-39-40.toml", "--residual", "3 arcsec", "--fit", fit)
     done = command("cycloid-fmu", "compensate", *words, "-o", "joint.c", "--plot", "joint.png")

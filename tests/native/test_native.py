@@ -2,7 +2,6 @@
 
 import ctypes
 import math
-import os
 import re
 import shutil
 import struct
@@ -18,7 +17,7 @@ import numpy as np
 import pytest
 from c_host import BUILT, COMPILER, HERE, INTERFACES, WINE, Slave, coarse, compiled, native_of, needs, needs_wine
 from clockworks import compliant_drive, kinematic_drive
-from common import ARCSEC, EXAMPLES, PAIR, make_pair
+from common import ARCSEC, EXAMPLES, PAIR, make_pair, study_size
 from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 from hypothesis import given, settings
@@ -43,7 +42,7 @@ from cycloid_fmu.surfaces.surface import nominal_surface, surface_of_pair
 
 ARM = Path("/usr/aarch64-linux-gnu")  # Debian's libc6-arm64-cross
 MOTION = {"kinematic": 3, "compliant": 4, "inertia": 3}  # inputs, which the C host prints first, after the time
-STUDIES = float(os.environ.get("CYCLOID_STEPS", "1e6"))
+STEPS = study_size("CYCLOID_STEPS", 1e4, 1e6)
 COLUMNS = (
     "time",
     "flange_a.phi",
@@ -785,7 +784,7 @@ def test_nonsense_and_rollback_with_a_first_stage_or_interference(request, host,
 @pytest.mark.slow
 @pytest.mark.parametrize(("kind", "version"), EACH)
 def test_many_random_steps(unpacked, host, kind, version):
-    assert "refused" in host(unpacked(kind, version), "random", int(STUDIES))
+    assert "refused" in host(unpacked(kind, version), "random", STEPS)
 
 
 @pytest.mark.slow
@@ -798,7 +797,7 @@ def test_the_library_is_clean_under_the_address_and_undefined_behaviour_sanitize
     program = compiled(tmp_path / "host", [HERE / "host.c"], f"-DFMI={version[0]}", *flags)
     for kind in INTERFACES:
         for words in (
-            ("random", int(STUDIES) // 10),
+            ("random", STEPS // 10),
             ("rollback", 50),
             ("open",),
             ("save", tmp_path / "s"),
@@ -812,7 +811,7 @@ def test_the_library_is_clean_under_the_address_and_undefined_behaviour_sanitize
 @pytest.mark.parametrize(("kind", "version"), EACH)
 def test_the_library_is_clean_under_valgrind(unpacked, host, kind, version):
     valgrind = ("valgrind", "--quiet", "--error-exitcode=9", "--leak-check=full", "--errors-for-leak-kinds=definite")
-    for words in (("random", int(STUDIES) // 50), ("rollback", 20), ("run", 200)):
+    for words in (("random", STEPS // 50), ("rollback", 20), ("run", 200)):
         host(unpacked(kind, version), *words, prefix=valgrind)
 
 
@@ -1260,7 +1259,7 @@ def test_the_windows_library_does_the_same_under_wine(unpacked, host, tmp_path):
             # again and again: it is held to its first knocks.
             assert differing[: 100 if kind == "inertia" else 800].max() <= 1e-12, (kind, version)
             assert "100 states restored" in host(fmu, "rollback", 100, **run)
-            assert "refused" in host(fmu, "random", int(STUDIES) // 20, **run)
+            assert "refused" in host(fmu, "random", STEPS // 20, **run)
 
 
 @pytest.mark.slow(20)
@@ -1283,4 +1282,4 @@ def test_the_aarch64_library_does_the_same_under_qemu(unpacked, host, tmp_path):
         assert (found[alike] == own[alike]).all()
         assert (np.abs(found - own) <= 1e-11 * np.abs(own).max(axis=0)).all()
         assert "100 states restored" in host(fmu, "rollback", 100, **run)
-        assert "refused" in host(fmu, "random", int(STUDIES) // 20, **run)
+        assert "refused" in host(fmu, "random", STEPS // 20, **run)

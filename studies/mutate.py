@@ -1,4 +1,4 @@
-"""How much of three parts the tests hold: `python tests/mutate.py metrics|recorder|contact [--sample 100]`.
+"""How much of three parts the tests hold: `python studies/mutate.py metrics|recorder|contact [--sample 100]`.
 
 Cosmic Ray changes one operator, number or condition at a time; the part's own tests run against each
 change in a forked process, and a change that none of them detects survives. The sample is drawn with a fixed seed.
@@ -24,12 +24,13 @@ import sys
 import tempfile
 import time
 import tomllib
+import types
 from dataclasses import dataclass
 from pathlib import Path
 
 import grimp
-import numba
 import pytest
+from numba.core import config
 
 from cycloid_fmu import edge
 
@@ -155,7 +156,7 @@ class Served(importlib.abc.MetaPathFinder, importlib.abc.Loader):
             return None
         return importlib.machinery.ModuleSpec(name, self, origin=str(self.path))
 
-    def exec_module(self, module: object) -> None:
+    def exec_module(self, module: types.ModuleType) -> None:
         module.__file__ = str(self.path)
         exec(compile(self.text, str(self.path), "exec"), module.__dict__)
 
@@ -187,7 +188,8 @@ def stale(module: str) -> frozenset[str]:
 def forget(module: str) -> None:
     """Take a module out of this process, with all of ours that import it and the tests; the rest stays loaded."""
     for name, loaded in list(sys.modules.items()):
-        tests = (getattr(loaded, "__file__", None) or "").startswith(str(ROOT / "tests")) and name != "__main__"
+        file = getattr(loaded, "__file__", None) or ""
+        tests = file.startswith((str(ROOT / "tests"), str(ROOT / "studies"))) and name != "__main__"
         if tests or name in stale(module):
             del sys.modules[name]
             package, _, last = name.rpartition(".")
@@ -213,7 +215,7 @@ def outcome(module: str, text: str, stage: Stage) -> str:
             signal.signal(signal.SIGALRM, signal.SIG_DFL)
             signal.alarm(stage.longest)
             # Compiled code is cached by its module's file, which does not change.
-            numba.config.CACHE_DIR, numba.config.DISABLE_JIT = folder, int(stage.interpreted)
+            config.CACHE_DIR, config.DISABLE_JIT = folder, int(stage.interpreted)
             for stream in (1, 2):
                 os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
             code = 1
@@ -255,7 +257,7 @@ def run(name: str, sample: int) -> None:
     if target.quick:
         stages.append(Stage(target.tests, False, Quickest()))
     for stage in stages:
-        numba.config.DISABLE_JIT, begin = int(stage.interpreted), time.perf_counter()
+        config.DISABLE_JIT, begin = int(stage.interpreted), time.perf_counter()
         passed = tests_pass(stage.words, stage.quickest)
         stage.longest = 20 + int(5.0 * (time.perf_counter() - begin))
         for module in texts:
@@ -296,7 +298,7 @@ def page() -> str:
     return "\n\n".join(
         [
             "# Mutation tests",
-            "`python tests/mutate.py` changes one operator, number or condition of the code at a time and runs the "
+            "`python studies/mutate.py` changes one operator, number or condition of the code at a time and runs the "
             f"tests of that code. The sample of all possible changes is drawn with the seed {SEED}.",
             "\n".join(rows),
             "Undetected changes, each with the reason why it needs no test:",

@@ -1,6 +1,6 @@
 """Information of the motor's torque about a drive in place, beyond a coarse output encoder: the table of a page.
 
-`python tests/motor_torque.py` prints figures of docs/recalibrate.md. Energy is conserved: with a load T on the output
+`python studies/motor_torque.py` prints figures of docs/recalibrate.md. Energy is conserved: with a load T on the output
 the motor carries -T (1/ratio + dx/dθ) in addition to its friction, where x is the transmission error over the crank
 angle θ. A transmission error of amplitude A and crank order k causes a ripple of T A k in it. The ripple is masked by
 cogging, which also has whole crank orders if the motor drives the crank, by gain errors of the current's measurement

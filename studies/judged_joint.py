@@ -1,6 +1,6 @@
 """Accuracy of a joint with a compensator made from recordings of its drive, judged on independent drives.
 
-`python tests/judged_joint.py DRIVES` prints the table of docs/compensation.md. Drives are `second_drive`'s, joints
+`python studies/judged_joint.py DRIVES` prints the table of docs/compensation.md. Drives are `second_drive`'s, joints
 those of `joint_plant`: neither shares anything with the product's kernels. A drive is recorded on a bench with real
 encoders' errors, `fitting.identify` finds its errors, and the controller of the joint has only these.
 """
@@ -435,7 +435,8 @@ def judged(joint, profile, controller, sensors=Sensors(), told=0.0, **how):
         Reading of the temperature sensor above 20 °C, K.
     """
     counted = np.arange(profile.angle.size) * profile.step >= 0.1
-    seated, every, own = counted & is_seated(profile, joint.inertia), [], ()
+    seated, every = counted & is_seated(profile, joint.inertia), list[float]()
+    own: tuple[float, ...] = ()
     for one in (controller, plain(joint.ratio)):
         error = moved(joint, profile, one, sensors, 293.15 + told, **how).error
         rms, carried = (np.sqrt(np.mean(error[of] ** 2)) for of in (counted, seated))
@@ -537,8 +538,8 @@ if __name__ == "__main__":
 
     from cycloid_fmu.edge.commands import Bar
 
-    sys.stdout.reconfigure(encoding="utf-8")
-    every, drives = {}, [(size, seed) for size in SIZES for seed in range(int(sys.argv[1]))]
+    sys.stdout.reconfigure(encoding="utf-8")  # type: ignore[union-attr]
+    every, drives = dict[str, list](), [(size, seed) for size in SIZES for seed in range(int(sys.argv[1]))]
     with Bar("drives", len(drives)) as bar:
         parallel = joblib.Parallel(n_jobs=-1, return_as="generator")
         for (size, _), rows in zip(

@@ -1,7 +1,7 @@
 """Lives of drives: errors known as after a fit, worn from date to date, measured in place with a coarse encoder.
 
 The drive is one of `second_drive`. Its joint has an absolute encoder of few bits with errors of its own, a torque
-signal with a scale error of a few per cent, and unknown friction. `python tests/lived_drives.py DRIVES` prints the
+signal with a scale error of a few per cent, and unknown friction. `python studies/lived_drives.py DRIVES` prints the
 table of docs/recalibrate.md.
 """
 

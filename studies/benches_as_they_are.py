@@ -1,6 +1,6 @@
 """Recordings of drives and benches with effects outside the model of rigid supports and quiet encoders.
 
-`python tests/benches_as_they_are.py DRIVES` prints the table of docs/identify.md; effects may follow. Drives are made
+`python studies/benches_as_they_are.py DRIVES` prints the table of docs/identify.md; effects may follow. Drives are made
 by `second_drive`, which shares nothing with the product's kernels. What is done is kept in docs/generated until code
 changes: the same command goes on where it was.
 """
@@ -183,7 +183,7 @@ def recorded(effect, made, load, generator, phases, each=24.37, turns=2):
     """A run of a body with an effect on its bench, at so many samples a crank turn; `phases` are the bench's own."""
     ratio, share = -made.teeth, load / 200.0
     at = np.arange(round(turns * made.teeth * each)) * STEP
-    speed, begin, own = 2.0 * np.pi / each / STEP, *generator.uniform(0.0, 2.0 * np.pi, 2)
+    speed, (begin, own) = 2.0 * np.pi / each / STEP, generator.uniform(0.0, 2.0 * np.pi, 2)
 
     def crank(at):
         ripple = 0.15 * np.sin(speed * at + own) + 0.3 * np.sin(3.0 * speed * at / made.teeth)
@@ -355,7 +355,7 @@ def kept_file(study, *modules):
 
 
 if __name__ == "__main__":
-    sys.stdout.reconfigure(encoding="utf-8")
+    sys.stdout.reconfigure(encoding="utf-8")  # type: ignore[union-attr]
     chosen = sys.argv[2:] or list(EFFECTS)
     wanted = [(name, seed) for seed in range(int(sys.argv[1])) for name in chosen]
     kept = kept_file("benches", "benches_as_they_are")

@@ -1,6 +1,6 @@
 """Random rings with scatter in every pin and tooth, and how near an identification states each of them.
 
-`python tests/realised_rings.py DRIVES` prints the table of docs/identify.md.
+`python studies/realised_rings.py DRIVES` prints the table of docs/identify.md.
 """
 
 import sys
@@ -112,6 +112,6 @@ def table(drives, first=0):
 
 
 if __name__ == "__main__":
-    sys.stdout.reconfigure(encoding="utf-8")
+    sys.stdout.reconfigure(encoding="utf-8")  # type: ignore[union-attr]
     for line in table(*map(int, sys.argv[1:])):
         print(line, flush=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 CHROMIUM = shutil.which("chromium")
 PHONE = 420  # px
 # The theme lets an article scroll as a whole, so the page's own width is not enough.
@@ -26,7 +26,7 @@ def site(tmp_path_factory):
     """Build from a copy, because the build writes beside its sources; the gallery's examples are not run."""
     pytest.importorskip("sphinx_gallery")
     copy = tmp_path_factory.mktemp("site")
-    for name in ("docs", "examples", "benchmarks", "drivers", "tests"):  # the last three are linked
+    for name in ("docs", "examples", "benchmarks", "drivers", "tests", "studies"):  # the last four are linked
         shutil.copytree(
             ROOT / name,
             copy / name,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from common import MEASURED
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture

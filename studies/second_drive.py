@@ -284,7 +284,7 @@ def _balanced(made, theta, torque, shift=0.0):
 def contacts(made, theta, torque):
     """Contacts of a body as arrays of one length: the results of `_pushed` for each (see there)."""
     theta = np.asarray(theta, float)
-    told = []
+    told: list[tuple] = []
     _pushed(made, theta, _balanced(made, theta, torque), np.zeros(theta.shape), told)
     return tuple(np.concatenate(parts) for parts in zip(*told, strict=True))
 

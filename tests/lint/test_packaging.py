@@ -18,7 +18,7 @@ import fmpy
 import pytest
 from common import ARCSEC, BENCH, CASES, EXAMPLES
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 VERSION = PROJECT["version"]
 PYTHONS = [
@@ -69,7 +69,7 @@ def test_the_source_archive_is_the_repository(published):
         held = {name.partition("/")[2] for name in archive.getnames()} - {"PKG-INFO"}
     if known.returncode == 0:
         assert held == set(known.stdout.splitlines())
-    assert {"tests/test_packaging.py", "CITATION.cff", ".ci/run", "docs/index.md", "examples/bench_to_fmu.py"} <= held
+    assert {"tests/lint/test_packaging.py", "studies/README.md", ".ci/run", "docs/index.md"} <= held
 
 
 @pytest.mark.slow

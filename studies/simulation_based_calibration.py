@@ -1,10 +1,10 @@
 """Simulation-based calibration of an identification: ranks of the truth among draws from the fit.
 
-`python tests/simulation_based_calibration.py DRIVES [PICTURE]` prints how uniform the ranks are and draws them. Drives
-and benches are drawn from what the fit takes to be usual before measuring, recorded by `second_drive` and identified;
-then the rank of each true error among draws from its stated distribution is uniform (Talts et al., arXiv:1804.06788).
-Bands of the ranks' distribution that hold all of it in 95 % of studies are those of Säilynoja, Bürkner and Vehtari,
-Statistics and Computing 32 (2022) 32.
+`python studies/simulation_based_calibration.py DRIVES [PICTURE]` prints how uniform the ranks are and draws them.
+Drives and benches are drawn from what the fit takes to be usual before measuring, recorded by `second_drive` and
+identified; then the rank of each true error among draws from its stated distribution is uniform (Talts et al.,
+arXiv:1804.06788). Bands of the ranks' distribution that hold all of it in 95 % of studies are those of Säilynoja,
+Bürkner and Vehtari, Statistics and Computing 32 (2022) 32.
 """
 
 import sys
@@ -201,7 +201,7 @@ def draw(every, path):
 
 
 if __name__ == "__main__":
-    sys.stdout.reconfigure(encoding="utf-8")
+    sys.stdout.reconfigure(encoding="utf-8")  # type: ignore[union-attr]
     kept = kept_file("calibration", "benches_as_they_are", "simulation_based_calibration")
     every = resumed(ranks, [(seed,) for seed in range(int(sys.argv[1]))], kept, "drives")
     for line in lines(every):

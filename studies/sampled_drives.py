@@ -1,6 +1,6 @@
 """Random drives recorded at any rate, and how often the intervals of their identification hold the truth.
 
-`python tests/sampled_drives.py DRIVES` prints the table of docs/identify.md.
+`python studies/sampled_drives.py DRIVES` prints the table of docs/identify.md.
 """
 
 import sys
