@@ -10,7 +10,7 @@ import dataclasses
 import itertools
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -21,6 +21,7 @@ from cycloid_fmu import edge
 from cycloid_fmu.analysis import solve
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry import sizes
+from cycloid_fmu.geometry.bodies import Bodies
 from cycloid_fmu.geometry.losses import Losses
 from cycloid_fmu.geometry.materials import MATERIALS
 from cycloid_fmu.geometry.pair import LEAST_TEETH, MOST_TEETH, Pair, PositiveTorque, smallest_convex_radius
@@ -63,6 +64,7 @@ _SEED, _ANGLES = 2, 90  # of these
 _STEP = 0.02  # step of the clearance relative to its range
 _LARGEST_WIDTH = 0.3  # of all discs together relative to the outer diameter
 _LEAST_WIDTH = 2e-3  # m
+_GAP = 0.5e-3  # m, between discs and beside them
 _OUTPUT_PINS = ((6, 8, 5, 4), (10, 12))  # numbers in the order of preference; many small ones only if few do not fit
 _TRIALS = 5  # doublings of the diameter or quarterings of the torque, and bisections, for the nearest possible drive
 _WIDENED = 5  # times that the face width is adapted to the bearings
@@ -94,6 +96,10 @@ class Wish(edge.Config):
         Number of discs.
     output
         "gear": the carrier turns; "ring": the ring does.
+    length
+        Most that the discs may take along the axis with 0.5 mm between and beside them, m; None for no limit.
+    bodies
+        Whether discs, output pins and ring are elastic in the drive.
 
     Examples
     --------
@@ -111,6 +117,8 @@ class Wish(edge.Config):
     pin_material: str = "bearing steel"
     discs: int = pydantic.Field(default=2, ge=1, le=4, strict=True)
     output: Literal["gear", "ring"] = "gear"
+    length: sizes.Width | None = None
+    bodies: bool = pydantic.Field(default=False, strict=True)
 
     @pydantic.field_validator("material", "pin_material")
     @classmethod
@@ -132,6 +140,8 @@ class Wish(edge.Config):
                 f"ratio = {self.ratio}: one stage has a ratio from {least} to {most} with output = {self.output!r}; "
                 "a larger one needs a first stage before it"
             )
+        if self.bodies and self.output == "ring":
+            raise ValueError('bodies = true needs bearings, which output = "ring" does not have')
         return self
 
     @property
@@ -156,8 +166,11 @@ class Sizing:
         {"table.key" of the pair file: why this value}.
     notes
         What is assumed, rigid or not judged, one sentence each.
-    bearing_seat
-        Radius of the discs' bore for the eccentric bearing, m; 0 where it is not sized.
+    bodies
+        Its discs, output pins and ring as elastic bodies, whether or not they are so in `pair`; None where output and
+        bearings are not sized.
+    contact_stiffness
+        Of an output pin in its hole, N/m: with elastic bodies, which have the bending, in place of both.
     """
 
     wish: Wish
@@ -165,7 +178,8 @@ class Sizing:
     tolerances: str
     reasons: dict[str, str]
     notes: tuple[str, ...]
-    bearing_seat: float = 0.0
+    bodies: Bodies | None = None
+    contact_stiffness: float = math.nan
 
     @property
     def text(self) -> str:
@@ -184,6 +198,15 @@ class Sizing:
             else:
                 reason = self.reasons.get(f"{table}.{line.split(' = ')[0]}")
             found.append(f"{line}  # {reason}" if reason else line)
+        if self.bodies is not None and self.pair.bodies is None:
+            stiffness = f'"{self.contact_stiffness * 1e-6:.3g} N/um"'
+            found.append(
+                f"# Elastic bodies; with them [supports.output_roller] stiffness = {stiffness}, the contact alone."
+            )
+            elastic = self.pair.replace(bodies=self.bodies).text.splitlines()
+            first = elastic.index("[bodies]")
+            last = next((k for k in range(first, len(elastic)) if elastic[k].startswith("[losses")), len(elastic))
+            found += [f"# {line}" for line in elastic[first:last]]
         return "\n".join(found) + "\n"
 
 
@@ -276,7 +299,7 @@ def _sized(wish: Wish, progress: Callable[[str], None], search_modification: boo
     process, gear = PROCESSES[wish.process], MATERIALS[wish.material]
     mesh = _mesh(wish, process)
     tolerances = process_tolerances(wish, mesh)
-    width = max(_LEAST_WIDTH, process.wall, 0.5 * _LARGEST_WIDTH * wish.outer_diameter / wish.discs)
+    width = min(max(_LEAST_WIDTH, process.wall, 0.5 * _LARGEST_WIDTH * wish.outer_diameter / wish.discs), _widest(wish))
     pair = Pair(
         gear_teeth=wish.gear_teeth,
         pin_circle_radius=mesh.circle,
@@ -286,7 +309,12 @@ def _sized(wish: Wish, progress: Callable[[str], None], search_modification: boo
         discs=wish.discs,
         output=wish.output,
         rated_torque=wish.torque,
-        material={"gear": {"name": wish.material}, "pin": {"name": wish.pin_material}},
+        material={
+            "gear": {"name": wish.material},
+            "pin": {"name": wish.pin_material},
+            "output_pin": {"name": _OUTPUT_STEEL} if wish.output == "gear" else None,
+            "ring": {"name": wish.material},
+        },
     )
     if search_modification:
         pair = _modified(pair, parse_tolerances(tolerances, "tolerances of the process"), process, progress)
@@ -307,8 +335,8 @@ def _sized(wish: Wish, progress: Callable[[str], None], search_modification: boo
         "material.pin": MATERIALS[wish.pin_material].source,
     }
     notes = [
-        "A first drive: sizes by rules, modification and face width by the search of `design`; its bodies are rigid, "
-        "so the real drive is softer.",
+        "A first drive: sizes by rules, modification and face width by the search of `design`"
+        + ("." if wish.bodies else "; its bodies are rigid, so the real drive is softer."),
     ]
     if gear.creeps:
         notes.append(
@@ -322,7 +350,12 @@ def _sized(wish: Wish, progress: Callable[[str], None], search_modification: boo
         if pair.face_width == output.bearing_width:
             reasons["pair.face_width"] = _AS_WIDE
         notes += output.notes
-        return Sizing(wish, pair, tolerances, reasons, tuple(notes), output.bearing_seat)
+        bodies = _bodies(wish, pair, output)
+        if wish.bodies:
+            rollers = pair.supports.output_roller.replace(stiffness=output.contact_stiffness)
+            pair = pair.replace(bodies=bodies, supports=pair.supports.replace(output_roller=rollers))
+            reasons["supports.output_roller"] = "contact alone, because the output pins bend as bodies"
+        return Sizing(wish, pair, tolerances, reasons, tuple(notes), bodies, output.contact_stiffness)
     notes.append('output = "ring": bearings and output are not modelled, so neither sized here; no losses.')
     return Sizing(wish, pair, tolerances, reasons, tuple(notes))
 
@@ -367,6 +400,8 @@ def _wide_enough(
     """Return the pair with the least face width at which the pressure is permitted, and why it is that."""
     least = max(_LEAST_WIDTH, process.wall)
     most = _widest(wish)
+    if most < least:
+        raise _TooSmallError(f"discs {most * 1e3:.3g} mm wide are thinner than {least * 1e3:.3g} mm")
     reached = largest_pressure(pair.replace(face_width=most))
     if reached > pressure:
         raise _TooSmallError(
@@ -380,18 +415,25 @@ def _wide_enough(
     (found,) = search(pair.replace(face_width=most), task, starts=0)
     needed = found.pair.face_width
     why = f"for {pressure * 1e-6:.0f} MPa at rated torque" if needed > 1.001 * least else "the least by rule"
-    return found.pair.replace(face_width=_half_mm(needed)), why
+    return found.pair.replace(face_width=min(_half_mm(needed), round(most, 6))), why
 
 
 def _widest(wish: Wish) -> float:
     """Return the largest face width of a disc, m."""
-    return _LARGEST_WIDTH * wish.outer_diameter / wish.discs
+    most = _LARGEST_WIDTH * wish.outer_diameter / wish.discs
+    return most if wish.length is None else min(most, wish.length / wish.discs - _GAP * (wish.discs + 1) / wish.discs)
+
+
+def _length(pair: Pair) -> float:
+    """Return what the discs take along the axis with gaps between and beside them, m."""
+    return pair.discs * pair.face_width + (pair.discs + 1) * _GAP
 
 
 class _Output(NamedTuple):
     """Supports and losses of a drive with output pins, with their reasons and notes.
 
-    The last two are the radius of the eccentric bearing's seat in the discs, and the bearing's width, m.
+    The last are the radius of the eccentric bearing's seat in the discs, the bearing's width, m, and the stiffness of
+    an output pin's contact alone, N/m.
     """
 
     supports: Supports
@@ -400,6 +442,22 @@ class _Output(NamedTuple):
     notes: list[str]
     bearing_seat: float
     bearing_width: float
+    contact_stiffness: float
+
+
+def _bodies(wish: Wish, pair: Pair, output: _Output) -> Bodies:
+    """Return discs, output pins and ring as elastic bodies; the crank's shape is not known, pins lie in the ring."""
+    rollers = output.supports.output_roller
+    assert rollers is not None
+    assert rollers.radius is not None
+    half = round(0.5 * _length(pair), 9)
+    hole = rollers.radius + pair.eccentricity + 0.5 * rollers.clearance
+    return Bodies(
+        disc_spacing=pair.face_width + _GAP,
+        disc={"bore_radius": output.bearing_seat, "roller_hole_radius": round(hole, 9)},
+        output_pin={"ends": "clamped", "from": -half, "to": half, "diameter": 2.0 * rollers.radius},
+        ring={"outer_radius": 0.5 * wish.outer_diameter, "width": 2.0 * half},
+    )
 
 
 def _output(wish: Wish, pair: Pair, process: Process) -> _Output:
@@ -414,7 +472,7 @@ def _output(wish: Wish, pair: Pair, process: Process) -> _Output:
     wall, e = process.wall, pair.eccentricity
     input_torque = wish.torque / abs(pair.ratio)
     shaft = (2.0 * input_torque / (math.pi * _SHEAR)) ** (1.0 / 3.0)  # radius
-    length = pair.discs * pair.face_width + (pair.discs + 1) * 0.5e-3
+    length = _length(pair)
     strength = MATERIALS[_OUTPUT_STEEL].bending_fatigue
     assert strength is not None
     allowed = strength[0] / _SAFETY
@@ -484,7 +542,11 @@ def _with_output(
         kind="output_rollers",
         count=count,
         circle_radius=circle,
-        turning_arm={"stiffness": _three(stiffness), "dynamic_capacity": 1e3 * capacity},
+        turning_arm={
+            "stiffness": _three(stiffness),
+            "dynamic_capacity": round(1e3 * capacity, 3),
+            "rolling_elements": "balls",
+        },
         output_roller={
             "stiffness": _three(1.0 / (1.0 / bending + 1.0 / contact)),
             "clearance": min(clearance, 2e-4),
@@ -515,11 +577,11 @@ def _with_output(
     }
     notes = [
         "Rigid here, because nothing is known of them: crank shaft and its bearings, main bearing, pin seats.",
-        "Lives by ISO 281 with the exponent of rollers; the eccentric runs on balls, whose exponent is 3.",
+        "Assumed: pins lie in the ring over their width, output pins are held at both ends.",
     ]
     if clearance > 2e-4:
         notes.append(f"The clearance of the output holes would be {clearance * 1e6:.0f} µm; the model ends at 200 µm.")
-    return _Output(supports, losses, reasons, notes, 0.5e-3 * outside, 1e-3 * ball_width)
+    return _Output(supports, losses, reasons, notes, 0.5e-3 * outside, 1e-3 * ball_width, _three(contact))
 
 
 def _three(value: float) -> float:
@@ -596,8 +658,12 @@ def largest_pressure(pair: Pair, angles: int = 90) -> float:
     return float(found.max_contact_pressure.max())
 
 
-def write_sizing(drive: Sizing, folder: str | os.PathLike[str], figures: Sequence[dict[str, Any]]) -> None:
-    """Write a first drive into a folder, which is created: `drive.toml`, `tolerances.toml` and `figures.json`.
+SIZED_FILES = ("drive.toml", "tolerances.toml", "figures.json")
+"""What `write_sizing` writes."""
+
+
+def write_sizing(drive: Sizing, folder: str | os.PathLike[str], figures: Mapping[str, Any]) -> None:
+    """Write a first drive with its figures into a folder, which is created: `SIZED_FILES`.
 
     Raises
     ------
@@ -605,11 +671,7 @@ def write_sizing(drive: Sizing, folder: str | os.PathLike[str], figures: Sequenc
         If a file can't be written.
     """
     target = edge.created_folder(folder)
-    texts = {
-        "drive.toml": drive.text,
-        "tolerances.toml": drive.tolerances,
-        "figures.json": edge.json_text(list(figures)),
-    }
-    for name, text in texts.items():
+    texts = (drive.text, drive.tolerances, edge.json_text(dict(figures)))
+    for name, text in zip(SIZED_FILES, texts, strict=True):
         with edge.written_whole(target / name) as temporary:
             temporary.write_text(text, encoding="utf-8")
