@@ -546,6 +546,7 @@ def _with_output(
             "stiffness": _three(stiffness),
             "dynamic_capacity": round(1e3 * capacity, 3),
             "rolling_elements": "balls",
+            "raceway_diameter": 1e-3 * outside,
         },
         output_roller={
             "stiffness": _three(1.0 / (1.0 / bending + 1.0 / contact)),
@@ -569,6 +570,7 @@ def _with_output(
         "supports.count": f"output pins of {2e3 * pin:g} mm in holes of {2e3 * (pin + pair.eccentricity):.4g} mm",
         "supports.circle_radius": "between the eccentric bearing and the roots of the flank",
         "supports.turning_arm": f"ball bearing {bore:g} x {outside:g} mm, series 618; stiffness by Palmgren",
+        "supports.turning_arm.raceway_diameter": "its outer ring's outside, the bore of the discs",
         "supports.output_roller": f"contact and bending, held at both ends, at {force:.0f} N",
         "losses.flank": "values to begin with; measure the drive",
         "losses.output_contact": "pins that do not turn; bushings would lose less",
