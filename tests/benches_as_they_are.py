@@ -1,8 +1,8 @@
 """Recordings of drives and benches with effects outside the model of rigid supports and quiet encoders.
 
-`python tests/benches_as_they_are.py DRIVES` prints the table of docs/identify_coverage.md; effects may follow. Drives are made
-by `second_drive`, which shares nothing with the product's kernels. What is done is kept in docs/generated until code
-changes: the same command goes on where it was.
+`python tests/benches_as_they_are.py DRIVES` prints the table of docs/identify_coverage.md; effects may follow. Drives
+are made by `second_drive`, which shares nothing with the product's kernels. What is done is kept in docs/generated
+until code changes: the same command goes on where it was.
 """
 
 import dataclasses

@@ -1,8 +1,8 @@
 """Accuracy of a joint with a compensator made from recordings of its drive, judged on independent drives.
 
-`python tests/judged_joint.py DRIVES` prints the table of docs/compensation_accuracy.md. Drives are `second_drive`'s, joints
-those of `joint_plant`: neither shares anything with the product's kernels. A drive is recorded on a bench with real
-encoders' errors, `fitting.identify` finds its errors, and the controller of the joint has only these.
+`python tests/judged_joint.py DRIVES` prints the table of docs/compensation_accuracy.md. Drives are `second_drive`'s,
+joints those of `joint_plant`: neither shares anything with the product's kernels. A drive is recorded on a bench with
+real encoders' errors, `fitting.identify` finds its errors, and the controller of the joint has only these.
 """
 
 import dataclasses

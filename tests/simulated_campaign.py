@@ -1,6 +1,7 @@
 """A simulated campaign of a drive with a floating disc, and the predictions of a model of six conditions.
 
-`python tests/simulated_campaign.py` prints the table of docs/identify_coverage.md. Its physics is that of `second_drive`.
+`python tests/simulated_campaign.py` prints the table of docs/identify_coverage.md. Its physics is that of
+`second_drive`.
 """
 
 import dataclasses

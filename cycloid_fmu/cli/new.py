@@ -18,7 +18,11 @@ def new(
     torque: Annotated[float, commands.quantity_option("N*m", "Rated torque at the output.")],
     material: Annotated[str, commands.choice_option(MATERIALS, "Of the discs.")],
     process: Annotated[str, commands.choice_option(PROCESSES, "By which discs and ring are made.")],
-    pin_material: Annotated[str, commands.choice_option(MATERIALS, "Of pins and output pins.")] = "bearing steel",
+    pin_material: Annotated[str, commands.choice_option(MATERIALS, "Of the pins.")] = "bearing steel",
+    ring: Annotated[
+        str,
+        commands.choice_option(("pins", "conjugate"), "Dowels, or arcs in one piece with the ring in their place."),
+    ] = "pins",
     discs: Annotated[int, typer.Option(min=1, max=4, help="Number of discs.")] = 2,
     turning: Annotated[
         str,
@@ -65,6 +69,7 @@ def new(
         material=material,
         process=process,
         pin_material=pin_material,
+        ring=ring,
         discs=discs,
         output=turning,
         length=length,

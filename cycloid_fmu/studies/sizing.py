@@ -89,7 +89,9 @@ class Wish(edge.Config):
     material
         Of discs, a name of `materials.MATERIALS`.
     pin_material
-        Of pins and output pins.
+        Of the pins, or with ring = "conjugate" not used. Output pins are of case-hardened steel.
+    ring
+        "pins": dowels in the ring; "conjugate": a ring in one piece with arcs of the discs' material in place of pins.
     process
         By which discs and ring are made, a name of `processes.PROCESSES`.
     discs
@@ -115,6 +117,7 @@ class Wish(edge.Config):
     material: str
     process: str
     pin_material: str = "bearing steel"
+    ring: Literal["pins", "conjugate"] = "pins"
     discs: int = pydantic.Field(default=2, ge=1, le=4, strict=True)
     output: Literal["gear", "ring"] = "gear"
     length: sizes.Width | None = None
@@ -148,6 +151,11 @@ class Wish(edge.Config):
     def gear_teeth(self) -> int:
         """Teeth of the discs: the ratio with the gear as output, one less with the ring."""
         return abs(self.ratio) - (self.output == "ring")
+
+    @property
+    def material_of_pins(self) -> str:
+        """Material of the pins, or of the arcs in their place."""
+        return self.material if self.ring == "conjugate" else self.pin_material
 
 
 @dataclasses.dataclass(frozen=True)
@@ -188,7 +196,8 @@ class Sizing:
         wish = self.wish
         head = (
             f"# |ratio| {abs(wish.ratio)}, {wish.outer_diameter * 1e3:g} mm outside, {wish.torque:g} N*m; discs of "
-            f"{wish.material} by {wish.process}, pins of {wish.pin_material}."
+            f"{wish.material} by {wish.process}, {'arcs' if wish.ring == 'conjugate' else 'pins'} of "
+            f"{wish.material_of_pins}."
         )
         table, found = "", [head, *(f"# {note}" for note in self.notes), title]
         for line in lines:
@@ -253,7 +262,7 @@ def process_tolerances(wish: Wish, mesh: _Mesh) -> str:
         return f'"{value * 1e6:.2g} um"'
 
     rows = [f"[{key}]\nsingle = {um(place)}\ncumulative = {um(2.0 * place)}" for key in ("gear_pitch", "pin_pitch")]
-    each = standard_tolerance(6, 2.0 * mesh.pin) / 4.0
+    each = flank if wish.ring == "conjugate" else standard_tolerance(6, 2.0 * mesh.pin) / 4.0
     for key, value in {
         "pin_radius_each": each,
         "centre_distance_x": place,
@@ -262,7 +271,8 @@ def process_tolerances(wish: Wish, mesh: _Mesh) -> str:
         "isometric": flank,
     }.items():
         rows.append(f"[{key}]\ntolerance = {um(value)}")
-    head = f"# What {wish.process} holds: IT{process.grade} of ISO 286-1 ({process.source}); pins m6 (ISO 8734).\n"
+    head = f"# What {wish.process} holds: IT{process.grade} of ISO 286-1 ({process.source})"
+    head += ".\n" if wish.ring == "conjugate" else "; pins m6 (ISO 8734).\n"
     return head + 'format = "cycloid-tolerances/1"\n' + "\n".join(rows) + "\n"
 
 
@@ -311,7 +321,7 @@ def _sized(wish: Wish, progress: Callable[[str], None], search_modification: boo
         rated_torque=wish.torque,
         material={
             "gear": {"name": wish.material},
-            "pin": {"name": wish.pin_material},
+            "pin": {"name": wish.material_of_pins},
             "output_pin": {"name": _OUTPUT_STEEL} if wish.output == "gear" else None,
             "ring": {"name": wish.material},
         },
@@ -332,12 +342,18 @@ def _sized(wish: Wish, progress: Callable[[str], None], search_modification: boo
         "pair.discs": "opposite each other, so balanced" if wish.discs > 1 else "unbalanced: one disc",
         "modification.isometric": f"with offset: least backlash at which {_YIELD:.0%} of drives by {wish.process} turn",
         "material.gear": gear.source.replace("#", ""),
-        "material.pin": MATERIALS[wish.pin_material].source,
+        "material.pin": MATERIALS[wish.material_of_pins].source,
     }
     notes = [
         "A first drive: sizes by rules, modification and face width by the search of `design`"
         + ("." if wish.bodies else "; its bodies are rigid, so the real drive is softer."),
     ]
+    if wish.ring == "conjugate":
+        reasons["pair.pin_radius"] = f"arcs of the ring, at most {_PIN_SHARE:g} of their distance in diameter"
+        notes.append(
+            "Ring without pins: in the model its arcs are fixed pins of the discs' material; between them it must stay "
+            "outside of the discs' teeth."
+        )
     if gear.creeps:
         notes.append(
             f"{wish.material} creeps: under lasting load modulus and strength fall to a half or less, which is not "
@@ -437,7 +453,7 @@ class _Output(NamedTuple):
     """
 
     supports: Supports
-    losses: Losses
+    losses: Losses | None
     reasons: dict[str, str]
     notes: list[str]
     bearing_seat: float
@@ -554,18 +570,7 @@ def _with_output(
             "radius": pin,
         },
     )
-    friction = _friction_of(wish.material)
-    losses = Losses(
-        flank={"friction": friction},
-        output_contact={"friction": friction},
-        output_roller={"outer_radius": pin},
-        turning_arm={
-            "mean_diameter": round(0.5e-3 * (bore + outside), 6),
-            "load_factor": _BEARING_LOAD,
-            "speed_factor": _BEARING_SPEED,
-        },
-        lubricant={"viscosity_40": 100e-6, "viscosity_100": 11e-6, "temperature": 313.15},
-    )
+    losses = _losses(wish, pin, bore, outside)
     reasons = {
         "supports.count": f"output pins of {2e3 * pin:g} mm in holes of {2e3 * (pin + pair.eccentricity):.4g} mm",
         "supports.circle_radius": "between the eccentric bearing and the roots of the flank",
@@ -581,9 +586,32 @@ def _with_output(
         "Rigid here, because nothing is known of them: crank shaft and its bearings, main bearing, pin seats.",
         "Assumed: pins lie in the ring over their width, output pins are held at both ends.",
     ]
+    if losses is None:
+        notes.append(
+            f"Efficiency and torques from rest are not known: no friction of {wish.material} on "
+            f"{wish.material_of_pins} is in the table; state [losses]."
+        )
     if clearance > 2e-4:
         notes.append(f"The clearance of the output holes would be {clearance * 1e6:.0f} µm; the model ends at 200 µm.")
     return _Output(supports, losses, reasons, notes, 0.5e-3 * outside, 1e-3 * ball_width, _three(contact))
+
+
+def _losses(wish: Wish, pin: float, bore: float, outside: float) -> Losses | None:
+    """Return friction to begin with; None where no source states it for the discs on pins of their material."""
+    if not any("steel" in name for name in (wish.material, wish.material_of_pins)):
+        return None
+    friction = _friction_of(wish)
+    return Losses(
+        flank={"friction": friction},
+        output_contact={"friction": friction},
+        output_roller={"outer_radius": pin},
+        turning_arm={
+            "mean_diameter": round(0.5e-3 * (bore + outside), 6),
+            "load_factor": _BEARING_LOAD,
+            "speed_factor": _BEARING_SPEED,
+        },
+        lubricant={"viscosity_40": 100e-6, "viscosity_100": 11e-6, "temperature": 313.15},
+    )
 
 
 def _three(value: float) -> float:
@@ -614,12 +642,10 @@ def _roller_stiffness(pair: Pair, pin: float, force: float) -> float:
     return float(force / approach)
 
 
-def _friction_of(material: str) -> str:
-    """Return the entry of `friction_values.VALUES` for pins of steel on a material."""
-    value = MATERIALS[material]
-    if not value.creeps:
-        return "steel, grease"
-    return {"POM": "POM, dry"}.get(material, "plastic, dry")
+def _friction_of(wish: Wish) -> str:
+    """Return the entry of `friction_values.VALUES` for discs and pins of which at least one is of steel."""
+    soft = [name for name in (wish.material, wish.material_of_pins) if MATERIALS[name].creeps]
+    return {"POM": "POM, dry"}.get(soft[0], "plastic, dry") if soft else "steel, grease"
 
 
 def _nearest(wish: Wish, progress: Callable[[str], None]) -> str:

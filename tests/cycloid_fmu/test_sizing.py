@@ -159,6 +159,15 @@ def test_the_commented_bodies_are_those_of_the_wish_with_bodies(sized):
     )
 
 
+def test_a_ring_without_pins_is_of_the_discs_material_and_has_no_friction_from_the_table():
+    drive = size(Wish(**{**PRINTED, "ring": "conjugate", "torque": "3 N*m"}))
+    assert drive.pair.material.pin == drive.pair.material.gear
+    assert drive.pair.losses is None
+    assert any("no friction of printed PLA on printed PLA" in note for note in drive.notes)
+    softer = size(Wish(**{**PRINTED, "torque": "3 N*m"}))
+    assert drive.pair.material.pin.compliance > 20.0 * softer.pair.material.pin.compliance
+
+
 def test_discs_keep_within_the_stated_length():
     drive = size(Wish(**{**CNC, "torque": "5 N*m", "length": "16 mm"}))
     pair = drive.pair
