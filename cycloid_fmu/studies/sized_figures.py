@@ -28,6 +28,7 @@ _ANGLES = 90  # crank angles of every figure
 _DRIVES = 64  # sampled drives
 _ENDS = (0.05, 0.95)  # of the sampled drives
 _UNKNOWN = (math.nan, math.nan, math.nan)
+_MOTOR_SPEED = 1000.0  # rpm, for a life in hours
 _CRANK_SPEED = 1.0  # rad/s: friction of a drive that turns slowly, without drags of speed
 
 
@@ -164,7 +165,9 @@ def _of_material(pair: Pair, solved: Sequence[Transmission]) -> list[Figure]:
     if not lives:
         return [*rows, Figure("bearing life", "1", _UNKNOWN, "no bearing states its dynamic_capacity")]
     shortest = min(lives, key=lives.__getitem__)
-    basis, million = f"{shortest}: crank turns at rated torque, L10 of ISO 281", ("million turns", 1e-6)
+    hours = lives[shortest] / (60.0 * _MOTOR_SPEED)
+    basis = f"{shortest}: L10 (ISO 281) at rated torque, {hours:.3g} h at {_MOTOR_SPEED:g} rpm of the crank"
+    million = ("million turns", 1e-6)
     return [*rows, Figure("bearing life", "1", (lives[shortest], math.nan, math.nan), basis, million)]
 
 
