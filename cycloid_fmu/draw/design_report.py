@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -58,7 +58,7 @@ class DesignReport(NamedTuple):
     facts: str
     motion: Motion
     tables: Sequence[Table]
-    lists: dict[str, Sequence[str]]
+    lists: Mapping[str, Sequence[str]]
     text: str
 
 

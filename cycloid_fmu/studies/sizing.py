@@ -26,7 +26,7 @@ from cycloid_fmu.geometry.losses import Losses
 from cycloid_fmu.geometry.materials import MATERIALS
 from cycloid_fmu.geometry.pair import LEAST_TEETH, MOST_TEETH, Pair, PositiveTorque, smallest_convex_radius
 from cycloid_fmu.geometry.processes import PROCESSES, Process, standard_tolerance
-from cycloid_fmu.geometry.supports import Supports
+from cycloid_fmu.geometry.supports import OutputRoller, Supports
 from cycloid_fmu.studies.design import DesignTask, search
 from cycloid_fmu.studies.tolerance import Study, exact_figures, points, surface_of
 from cycloid_fmu.surfaces.sampling import Tolerances, parse_tolerances
@@ -368,8 +368,8 @@ def _sized(wish: Wish, progress: Callable[[str], None], search_modification: boo
         notes += output.notes
         bodies = _bodies(wish, pair, output)
         if wish.bodies:
-            rollers = pair.supports.output_roller.replace(stiffness=output.contact_stiffness)
-            pair = pair.replace(bodies=bodies, supports=pair.supports.replace(output_roller=rollers))
+            rollers = {"output_roller": output.rollers.replace(stiffness=output.contact_stiffness)}
+            pair = pair.replace(bodies=bodies, supports=output.supports.replace(**rollers))
             reasons["supports.output_roller"] = "contact alone, because the output pins bend as bodies"
         return Sizing(wish, pair, tolerances, reasons, tuple(notes), bodies, output.contact_stiffness)
     notes.append('output = "ring": bearings and output are not modelled, so neither sized here; no losses.')
@@ -460,11 +460,16 @@ class _Output(NamedTuple):
     bearing_width: float
     contact_stiffness: float
 
+    @property
+    def rollers(self) -> OutputRoller:
+        """The output pins."""
+        assert self.supports.output_roller is not None
+        return self.supports.output_roller
+
 
 def _bodies(wish: Wish, pair: Pair, output: _Output) -> Bodies:
     """Return discs, output pins and ring as elastic bodies; the crank's shape is not known, pins lie in the ring."""
-    rollers = output.supports.output_roller
-    assert rollers is not None
+    rollers = output.rollers
     assert rollers.radius is not None
     half = round(0.5 * _length(pair), 9)
     hole = rollers.radius + pair.eccentricity + 0.5 * rollers.clearance
