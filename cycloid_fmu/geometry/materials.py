@@ -93,7 +93,7 @@ MATERIALS = {
         (7780.0, 7850.0),
         423.15,
         False,
-        "endurance limits ML to ME of ISO 6336-5, bending halved from pulsating to an amplitude; yield: core of "
+        "endurance limits ML to ME of ISO 6336-5; bending halved from pulsating to an amplitude; yield: core of "
         "16MnCr5, DIN 17210, 11 to 30 mm",
     ),
     "quenched steel": MaterialValue(

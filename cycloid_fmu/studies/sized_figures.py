@@ -123,7 +123,8 @@ def _of_tolerances(pair: Pair, tolerances: Tolerances | None) -> list[Figure]:
     for key, shown in (("backlash", ("arcmin", edge.ARCMIN)), ("angular_transmission_error", ("arcmin", edge.ARCMIN))):
         column = next(k for k, (name, _) in enumerate(study.columns) if name == key)
         low, high = np.quantile(sampled[:, column], _ENDS).tolist()
-        rows.append(Figure(key.replace("_", " "), "rad", (float(drawn[column]), low, high), basis, shown))
+        taken = "; their errors take from the play as drawn" if key == "backlash" and tolerances is not None else ""
+        rows.append(Figure(key.replace("_", " "), "rad", (float(drawn[column]), low, high), basis + taken, shown))
     return rows
 
 

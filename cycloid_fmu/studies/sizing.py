@@ -341,8 +341,10 @@ def _sized(wish: Wish, progress: Callable[[str], None], search_modification: boo
         "pair.rated_torque": "the wish",
         "pair.discs": "opposite each other, so balanced" if wish.discs > 1 else "unbalanced: one disc",
         "modification.isometric": f"with offset: least backlash at which {_YIELD:.0%} of drives by {wish.process} turn",
-        "material.gear": gear.source.replace("#", ""),
-        "material.pin": MATERIALS[wish.material_of_pins].source,
+        "material.gear": gear.source.split(";")[0],
+        "material.pin": MATERIALS[wish.material_of_pins].source.split(";")[0],
+        "material.output_pin": "for their strength",
+        "material.ring": "for its strength",
     }
     notes = [
         "A first drive: sizes by rules, modification and face width by the search of `design`"
