@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from cycloid_fmu.analysis import solve
+from cycloid_fmu.contact.transmission import UnbalancedError
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry import sizes
 from cycloid_fmu.geometry.bodies import Bodies
@@ -303,6 +304,9 @@ def size(wish: Wish, progress: Callable[[str], None] = lambda step: None) -> Siz
         return _sized(wish, progress)
     except _TooSmallError as problem:
         raise edge.InputError(f"There is no such drive: {problem}. {_nearest(wish, progress)}") from None
+    except UnbalancedError:
+        said = f"There is no such drive: no contacts that fit can balance {wish.torque:g} N*m"
+        raise edge.InputError(f"{said}. {_nearest(wish, progress)}") from None
 
 
 def _sized(wish: Wish, progress: Callable[[str], None], search_modification: bool = True) -> Sizing:
@@ -418,13 +422,11 @@ def _wide_enough(
     """Return the pair with the least face width at which the pressure is permitted, and why it is that."""
     least = max(_LEAST_WIDTH, process.wall)
     most = _widest(wish)
-    if most < least:
-        raise _TooSmallError(f"discs {most * 1e3:.3g} mm wide are thinner than {least * 1e3:.3g} mm")
     reached = largest_pressure(pair.replace(face_width=most))
     if reached > pressure:
         raise _TooSmallError(
-            f"at the largest face width, {most * 1e3:.3g} mm a disc, the contact pressure is {reached * 1e-6:.0f} MPa, "
-            f"and {wish.material} bears {pressure * 1e-6:.0f} MPa"
+            f"at the largest face width, {most * 1e3:.3g} mm a disc, the contact pressure is {reached * 1e-6:.4g} MPa, "
+            f"and {wish.material} bears {pressure * 1e-6:.4g} MPa"
         )
     task = DesignTask(
         goals=("face_width",), vary={"face_width": (least, most)}, limits={"max_contact_pressure": pressure}
@@ -438,8 +440,14 @@ def _wide_enough(
 
 def _widest(wish: Wish) -> float:
     """Return the largest face width of a disc, m."""
-    most = _LARGEST_WIDTH * wish.outer_diameter / wish.discs
-    return most if wish.length is None else min(most, wish.length / wish.discs - _GAP * (wish.discs + 1) / wish.discs)
+    most, least = _LARGEST_WIDTH * wish.outer_diameter / wish.discs, max(_LEAST_WIDTH, PROCESSES[wish.process].wall)
+    if wish.length is not None:
+        most = min(most, (wish.length - _GAP * (wish.discs + 1)) / wish.discs)
+    if most < least:
+        raise _TooSmallError(
+            f"{wish.discs} discs of at least {least * 1e3:.3g} mm with gaps of {_GAP * 1e3:g} mm do not fit"
+        )
+    return most
 
 
 def _length(pair: Pair) -> float:
@@ -534,8 +542,8 @@ def _held(wish: Wish, pair: Pair, process: Process, pressure: float) -> tuple[_O
         if pair.face_width > most:
             break
     raise _TooSmallError(
-        f"on its bearings the contact pressure is {reached * 1e-6:.0f} MPa at a face width of "
-        f"{held.face_width * 1e3:.3g} mm, and {wish.material} bears {pressure * 1e-6:.0f} MPa"
+        f"on its bearings the contact pressure is {reached * 1e-6:.4g} MPa at a face width of "
+        f"{held.face_width * 1e3:.3g} mm, and {wish.material} bears {pressure * 1e-6:.4g} MPa"
     )
 
 
