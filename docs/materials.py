@@ -17,13 +17,16 @@ def _range(values, factor, digits=3):
 
 def materials():
     """Return the table of materials."""
-    rows = ["| name | E, GPa | pressure, MPa | expansion, µm/(m·K) | density, kg/m³ | up to, °C | creeps | source |"]
-    rows.append("| --- | --- | --- | --- | --- | --- | --- | --- |")
+    head = ("name", "E, GPa", "pressure, MPa", "yield, MPa", "fatigue, MPa", "expansion, µm/(m·K)", "density, kg/m³")
+    head += ("up to, °C", "creeps", "source")
+    rows = [f"| {' | '.join(head)} |", f"|{' --- |' * len(head)}"]
     for name, value in MATERIALS.items():
         cells = [
             f"`{name}`",
             _range(value.youngs_modulus, 1e-9),
             f"{value.largest_pressure * 1e-6:.0f}",
+            _range(value.yield_strength, 1e-6, 4),
+            "" if value.bending_fatigue is None else _range(value.bending_fatigue, 1e-6),
             _range(value.expansion, 1e6),
             _range(value.density, 1.0, 4),
             f"{value.service_temperature - 273.15:.0f}",

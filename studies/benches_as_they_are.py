@@ -1,8 +1,8 @@
 """Recordings of drives and benches with effects outside the model of rigid supports and quiet encoders.
 
-`python studies/benches_as_they_are.py DRIVES` prints the table of docs/identify.md; effects may follow. Drives are made
-by `second_drive`, which shares nothing with the product's kernels. What is done is kept in docs/generated until code
-changes: the same command goes on where it was.
+`python studies/benches_as_they_are.py DRIVES` prints the table of docs/identify_coverage.md; effects may follow. Drives
+are made by `second_drive`, which shares nothing with the product's kernels. What is done is kept in docs/generated
+until code changes: the same command goes on where it was.
 """
 
 import dataclasses
@@ -297,7 +297,7 @@ def is_right(one):
 
 
 def table(every, effects):
-    """Lines of the table of docs/identify.md."""
+    """Lines of the table of docs/identify_coverage.md."""
     yield (
         "| effect outside the model | explained | but for its cause | but for another "
         "| not explained, its cause named | not explained | intervals that contain the truth "

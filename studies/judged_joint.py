@@ -1,8 +1,8 @@
 """Accuracy of a joint with a compensator made from recordings of its drive, judged on independent drives.
 
-`python studies/judged_joint.py DRIVES` prints the table of docs/compensation.md. Drives are `second_drive`'s, joints
-those of `joint_plant`: neither shares anything with the product's kernels. A drive is recorded on a bench with real
-encoders' errors, `fitting.identify` finds its errors, and the controller of the joint has only these.
+`python studies/judged_joint.py DRIVES` prints the table of docs/compensation_accuracy.md. Drives are `second_drive`'s,
+joints those of `joint_plant`: neither shares anything with the product's kernels. A drive is recorded on a bench with
+real encoders' errors, `fitting.identify` finds its errors, and the controller of the joint has only these.
 """
 
 import dataclasses
@@ -509,7 +509,7 @@ def outcomes(size, seed, cases=tuple(CASES), profiles=tuple(PROFILES), controlle
 
 
 def table(every):
-    """Lines of the table of docs/compensation.md: root mean square of all drives, and the smallest gain."""
+    """Lines of the table of docs/compensation_accuracy.md: root mean square of all drives, and the smallest gain."""
     yield (
         "| profile | case | controller | output encoder | uncompensated, rms | compensated, rms | reduction | smallest "
         "| while one flank carries | largest error | within two bands | gain at the end | model holds |"

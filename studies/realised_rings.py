@@ -1,6 +1,6 @@
 """Random rings with scatter in every pin and tooth, and how near an identification states each of them.
 
-`python studies/realised_rings.py DRIVES` prints the table of docs/identify.md.
+`python studies/realised_rings.py DRIVES` prints the table of docs/identify_coverage.md.
 """
 
 import sys
@@ -90,7 +90,7 @@ def figures_of(found, distance, bound):
 
 
 def table(drives, first=0):
-    """Lines of the table of docs/identify.md, a ring's once it is done."""
+    """Lines of the table of docs/identify_coverage.md, a ring's once it is done."""
     pair = read_pair(Path(__file__).parent.parent / "examples" / "drive-39-40.toml")
     every = []
     for number in range(first, first + drives):

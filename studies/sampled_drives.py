@@ -1,6 +1,6 @@
 """Random drives recorded at any rate, and how often the intervals of their identification hold the truth.
 
-`python studies/sampled_drives.py DRIVES` prints the table of docs/identify.md.
+`python studies/sampled_drives.py DRIVES` prints the table of docs/identify_coverage.md.
 """
 
 import sys
@@ -88,7 +88,7 @@ def coverage(pair, each, turns, drives, *, loads=LOADS, scatter=0.3e-6, seed=0):
 
 
 def table(drives):
-    """Lines of the table of docs/identify.md."""
+    """Lines of the table of docs/identify_coverage.md."""
     nominal = read_pair(Path(__file__).parent.parent / "examples" / "drive-39-40.toml")
     yield "| samples a crank turn | output turns | intervals that contain the truth | farthest, standard errors |"
     yield "| --- | --- | --- | --- |"

@@ -1,6 +1,7 @@
 """A simulated campaign of a drive with a floating disc, and the predictions of a model of six conditions.
 
-`python studies/simulated_campaign.py` prints the table of docs/identify.md. Its physics is that of `second_drive`.
+`python studies/simulated_campaign.py` prints the table of docs/identify_coverage.md. Its physics is that of
+`second_drive`.
 """
 
 import dataclasses
@@ -161,7 +162,7 @@ def predicted_conditions():
 
 
 def table(**how):
-    """Lines of the table of docs/identify.md."""
+    """Lines of the table of docs/identify_coverage.md."""
     model = calibrated(**how)
     yield "| predicted | miss | mean | rig | pins | teeth | mesh | others | none | orders left, the largest first |"
     yield "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |"

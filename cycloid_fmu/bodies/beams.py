@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -65,35 +66,62 @@ class Beam:
         References ---------- S. P. Timoshenko, On the correction for shear, Phil. Mag. 41 (1921) 744; the shear factor:
         G. R. Cowper, J. Appl. Mech. 33 (1966) 335.
         """
-        cuts = {*supports, *(place for load in loads for place in load)}
-        cuts |= {point for point in self._points if min(cuts) < point < max(cuts)}
-        z = np.array(sorted(cuts))
+        at, weight = self._gauss([*supports, *(place for load in loads for place in load)])
+        moments, shears = self.internal_forces(ends, supports, loads, at)
+        bending, shearing = self._flexibility(at)
+        return _work(moments, shears, weight * bending, weight * shearing)
+
+    def _gauss(self, cuts: Sequence[float]) -> tuple[Array, Array]:
+        """Places and weights of integration between cuts, exact where the section does not change between them."""
+        inner = [point for point in self._points if min(cuts) < point < max(cuts)]
+        z = np.array(sorted({*cuts, *inner}))
         half = 0.5 * np.diff(z)
         at = (0.5 * (z[1:] + z[:-1])[:, None] + half[:, None] * _GAUSS).ravel()
-        weight = (half[:, None] * _WEIGHT).ravel()
-        bending, shearing = self._flexibility(at)
-        inner = [_uniform(at, *load) for load in loads]
+        return at, (half[:, None] * _WEIGHT).ravel()
+
+    def internal_forces(
+        self, ends: str, supports: tuple[float, float], loads: Sequence[tuple[float, float]], at: Array
+    ) -> tuple[Array, Array]:
+        """Bending moment (m) and shear force (1) at places under each unit load, both of shape (loads, places).
+
+        Parameters are those of `compliance`; `at` are places between the supports, m. Signs are common to all loads.
+        """
         first, second = supports
         if ends == "supported":
-            span = second - first
             cases = []
-            for (moment, shear), load in zip(inner, loads, strict=True):
-                share = (0.5 * (load[0] + load[1]) - first) / span
+            for load in loads:
+                moment, shear = _uniform(at, *load)
+                share = (0.5 * (load[0] + load[1]) - first) / (second - first)
                 for reaction, place in ((1.0 - share, first), (share, second)):
                     moment = moment - reaction * np.maximum(at - place, 0.0)
                     shear = shear - reaction * (at > place)
                 cases.append((moment, shear))
-            return _work(cases, weight, bending, shearing)
+            return _stacked(cases)
         # A cantilever: what is between a section and the free end, so seen from the clamped first support.
         outwards = 1.0 if second > first else -1.0
-        cases = [_from_free_end(at, load, outwards) for load in loads]
+        moments, shears = _stacked([_from_free_end(at, load, outwards) for load in loads])
         if ends == "cantilever":
-            return _work(cases, weight, bending, shearing)
-        before = (outwards * (second - at) > 0.0).astype(float)
-        reactions = [(before * outwards * (second - at), before), (before, np.zeros_like(at))]
-        whole = _work([*cases, *reactions], weight, bending, shearing)
+            return moments, shears
+        places, weight = self._gauss([*supports, *(place for load in loads for place in load)])
+        bending, shearing = (weight * each for each in self._flexibility(places))
+        cases = [*(_from_free_end(places, load, outwards) for load in loads), *_reactions(places, second, outwards)]
+        whole = _work(*_stacked(cases), bending, shearing)
         n = len(loads)
-        return np.asarray(whole[:n, :n] - whole[:n, n:] @ np.linalg.solve(whole[n:, n:], whole[n:, :n]))
+        # Force and moment of the second end, at which nothing moves.
+        end = -np.linalg.solve(whole[n:, n:], whole[n:, :n]).T
+        more = _stacked(_reactions(at, second, outwards))
+        return moments + end @ more[0], shears + end @ more[1]
+
+
+def _reactions(at: Array, end: float, outwards: float) -> list[tuple[Array, Array]]:
+    """Moment and shear force at places of a unit force and of a unit moment on a beam's second end."""
+    before = (outwards * (end - at) > 0.0).astype(float)
+    return [(before * outwards * (end - at), before), (before, np.zeros_like(at))]
+
+
+def _stacked(cases: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
+    moments, shears = (np.array(part) for part in zip(*cases, strict=True))
+    return moments, shears
 
 
 def _uniform(z: Array, start: float, end: float) -> tuple[Array, Array]:
@@ -108,9 +136,8 @@ def _from_free_end(z: Array, load: tuple[float, float], outwards: float) -> tupl
     return _uniform(-outwards * z, ends[0], ends[1])
 
 
-def _work(cases: Sequence[tuple[Array, Array]], weight: Array, bending: Array, shearing: Array) -> Array:
-    moments, shears = (np.array(part) for part in zip(*cases, strict=True))
-    return np.asarray((moments * weight * bending) @ moments.T + (shears * weight * shearing) @ shears.T)
+def _work(moments: Array, shears: Array, bending: Array, shearing: Array) -> Array:
+    return np.asarray((moments * bending) @ moments.T + (shears * shearing) @ shears.T)
 
 
 def material_of(body: ElasticBody, default: Material) -> Material:
@@ -126,15 +153,41 @@ def widths(pair: Pair, spacing: float | None) -> list[tuple[float, float]]:
     return [(z - half, z + half) for z in middles]
 
 
-def pin_compliance(pair: Pair, body: PinBody, spacing: float | None) -> Array:
-    """Displacement c_jl of a pin at disc j under a unit load of disc l, m/N, without its seats."""
+class HeldBeam(NamedTuple):
+    """A pin or output pin of one diameter, with the discs' widths on it.
+
+    Attributes
+    ----------
+    beam
+        The pin.
+    ends, supports
+        How and where it is held: see `Beam.compliance`.
+    loads
+        Start and end of each disc's width, m.
+    diameter
+        m.
+    """
+
+    beam: Beam
+    ends: str
+    supports: tuple[float, float]
+    loads: list[tuple[float, float]]
+    diameter: float
+
+    def compliance(self) -> Array:
+        """Displacement c_jl at disc j under a unit load of disc l, m/N."""
+        return self.beam.compliance(self.ends, self.supports, self.loads)
+
+
+def pin_beam(pair: Pair, body: PinBody, spacing: float | None) -> HeldBeam:
+    """Return a pin of the ring, held at both ends, without its seats."""
     loads, span = widths(pair, spacing), body.span
     assert body.ends is not None
     assert span is not None
     _check_within(loads, -0.5 * span, 0.5 * span, "bodies.pin", f"span is {span * 1e3:.6g} mm")
     diameter = body.diameter or 2.0 * pair.pin_radius
     beam = Beam((Section(start=-0.5 * span, end=0.5 * span, diameter=diameter),), material_of(body, pair.material.pin))
-    return beam.compliance(body.ends, (-0.5 * span, 0.5 * span), loads)
+    return HeldBeam(beam, body.ends, (-0.5 * span, 0.5 * span), loads, diameter)
 
 
 def crank_compliance(pair: Pair, body: CrankBody, spacing: float | None) -> Array:
@@ -148,8 +201,8 @@ def crank_compliance(pair: Pair, body: CrankBody, spacing: float | None) -> Arra
     return Beam(body.sections, material_of(body, Material())).compliance("supported", body.bearings, loads)
 
 
-def output_pin_compliance(pair: Pair, body: OutputPinBody, spacing: float | None) -> Array:
-    """Displacement c_jl of an output pin at disc j under a unit load of disc l, shape (discs, discs), m/N."""
+def output_pin_beam(pair: Pair, body: OutputPinBody, spacing: float | None) -> HeldBeam:
+    """Return an output pin, clamped in the carrier."""
     loads = widths(pair, spacing)
     start, end = body.start, body.end
     assert body.ends is not None
@@ -159,8 +212,10 @@ def output_pin_compliance(pair: Pair, body: OutputPinBody, spacing: float | None
     low, high = sorted((start, end))
     stated = f"it reaches from {low * 1e3:.6g} mm to {high * 1e3:.6g} mm"
     _check_within(loads, low, high, "bodies.output_pin", stated)
-    section = Section(start=low, end=high, diameter=body.diameter)
-    return Beam((section,), material_of(body, Material())).compliance(body.ends, (start, end), loads)
+    beam = Beam(
+        (Section(start=low, end=high, diameter=body.diameter),), material_of(body, pair.material.of("output_pin"))
+    )
+    return HeldBeam(beam, body.ends, (start, end), loads, body.diameter)
 
 
 def carrier_compliance(body: CarrierBody) -> tuple[float, float]:

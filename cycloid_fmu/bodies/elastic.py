@@ -61,7 +61,7 @@ class PlaneBody:
             first = 2.0 * first * shear / (first + 2.0 * shear)
         triangles = skfem.MeshTri(np.array([mesh.nodes.real, mesh.nodes.imag]), np.ascontiguousarray(mesh.triangles.T))
         basis = skfem.Basis(triangles, skfem.ElementVector(skfem.ElementTriP2()))
-        self.mesh, self._basis = mesh, basis
+        self.mesh, self._basis, self._lame = mesh, basis, (first, shear)
         stiffness = thickness * linear_elasticity(first, shear).assemble(basis)
         x, y = basis.doflocs
         number = np.arange(basis.N)
@@ -154,6 +154,45 @@ class PlaneBody:
         moved = np.zeros_like(balanced)
         moved[self._free] = self._factor.solve(balanced[self._free])
         return np.asarray(moved - self._rigid @ np.linalg.solve(self._gram, self._inertia.T @ moved))
+
+    def nodal_vector(self, nodes: NDArray[np.complex128]) -> Array:
+        """Forces on all unknowns from forces x + iy at `nodes`, N, shape (unknowns,)."""
+        forces = np.zeros(self._basis.N)
+        forces[self._dofs[0]], forces[self._dofs[1]] = nodes.real, nodes.imag
+        return forces
+
+    def stress(self, points: NDArray[np.complex128]) -> tuple[sp.csr_matrix, sp.csr_matrix, sp.csr_matrix]:
+        """Matrices that turn displacements of all unknowns into the stresses σ_x, σ_y and τ_xy at points, Pa.
+
+        Parameters
+        ----------
+        points
+            Places x + iy inside the body, m, shape (points,). Between elements stresses jump; the element is the first
+            that has the point.
+        """
+        basis, at = self._basis, np.array([points.real, points.imag])
+        cells = basis.mesh.element_finder()(*at)
+        local = basis.mapping.invF(at[:, :, None], tind=cells)
+        rows, columns, gradients = [], [], []
+        for number in range(basis.Nbfun):
+            shape = basis.elem.gbasis(basis.mapping, local, number, tind=cells)[0]
+            rows.append(np.arange(points.size))
+            columns.append(basis.element_dofs[number, cells])
+            gradients.append(shape.grad[:, :, :, 0])
+        place = np.concatenate(rows), np.concatenate(columns)
+        size = (points.size, basis.N)
+
+        def derivative(component: int, along: int) -> sp.csr_matrix:
+            return sp.csr_matrix((np.concatenate([g[component, along] for g in gradients]), place), shape=size)
+
+        along_x, along_y = derivative(0, 0), derivative(1, 1)
+        first, shear = self._lame
+        volume = first * (along_x + along_y)
+        return (
+            volume + 2.0 * shear * along_x,
+            volume + 2.0 * shear * along_y,
+            shear * (derivative(0, 1) + derivative(1, 0)),
+        )
 
     def at_nodes(self, displacement: Array) -> NDArray[np.complex128]:
         """Displacements x + iy at `nodes` from those of the unknowns."""

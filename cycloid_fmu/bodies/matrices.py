@@ -18,15 +18,15 @@ from cycloid_fmu.bodies.beams import (
     carrier_compliance,
     crank_compliance,
     material_of,
-    output_pin_compliance,
-    pin_compliance,
+    output_pin_beam,
+    pin_beam,
 )
 from cycloid_fmu.bodies.given import read_influence
 from cycloid_fmu.bodies.mesh import Array
 from cycloid_fmu.bodies.outline import contradictions
 from cycloid_fmu.bodies.ports import PortMatrix
 from cycloid_fmu.geometry.bodies import Bodies, CarrierBody, DiscBody, ElasticBody, RingBody
-from cycloid_fmu.geometry.pair import Material, Pair
+from cycloid_fmu.geometry.pair import Pair
 
 if TYPE_CHECKING:
     from cycloid_fmu.bodies.disc import DiscInfluence
@@ -240,9 +240,9 @@ def _read(data: bytes) -> PortMatrix:
 
 
 _BEAMS: dict[str, Callable[..., Array]] = {
-    "pin": pin_compliance,
+    "pin": lambda *given: pin_beam(*given).compliance(),
     "crank": crank_compliance,
-    "output_pin": output_pin_compliance,
+    "output_pin": lambda *given: output_pin_beam(*given).compliance(),
 }
 
 
@@ -295,7 +295,7 @@ def _ring(pair: Pair, body: RingBody) -> Array:
 
     assert body.outer_radius is not None
     assert body.width is not None
-    material = material_of(body, Material())
+    material = material_of(body, pair.material.of("ring"))
     return annulus_influence(
         pair.pin_circle_radius, body.outer_radius, body.width, material, pair.pin_radius, pair.pins
     )

@@ -203,7 +203,7 @@ def contradictions(pair: Pair, body: DiscBody) -> list[str]:
     root = pair.pin_circle_radius - pair.pin_radius - pair.eccentricity
     least = _LEAST_BRIDGE * pair.pin_circle_radius
     reasons = []
-    dense = [_dense(hole, _STEP * pair.pin_circle_radius) for hole in holes]
+    dense = [dense_points(hole, _STEP * pair.pin_circle_radius) for hole in holes]
     centres = [points.mean() for points in dense]
     reaches = [np.abs(points - centre).max() for points, centre in zip(dense, centres, strict=True)]
     for hole, points in zip(holes, dense, strict=True):
@@ -214,7 +214,7 @@ def contradictions(pair: Pair, body: DiscBody) -> list[str]:
             )
     if reasons:
         return list(dict.fromkeys(reasons))
-    dense = [_dense(hole, _STEP * pair.pin_circle_radius) for hole in holes]
+    dense = [dense_points(hole, _STEP * pair.pin_circle_radius) for hole in holes]
     centres = [points.mean() for points in dense]
     reaches = [np.abs(points - centre).max() for points, centre in zip(dense, centres, strict=True)]
     for first in range(len(holes)):
@@ -222,19 +222,20 @@ def contradictions(pair: Pair, body: DiscBody) -> list[str]:
             a, b = dense[first], dense[second]
             if abs(centres[first] - centres[second]) > reaches[first] + reaches[second] + least:
                 continue
-            if _apart(a, b) <= least or _encloses(b, a[0]) or _encloses(a, b[0]):
+            if _apart(a, b) <= least or encloses(b, a[0]) or encloses(a, b[0]):
                 names = sorted({holes[first].name, holes[second].name})
                 reasons.append(f"holes cut each other, or almost: {' and '.join(names)}")
     return list(dict.fromkeys(reasons))
 
 
-def _encloses(curve: Points, point: complex) -> bool:
-    """Whether a closed curve winds around a point."""
+def encloses(curve: Points, point: complex) -> bool:
+    """Return whether a closed curve winds around a point."""
     away = curve - point
     return bool(abs(np.angle(np.roll(away, -1) / away).sum()) > math.pi)
 
 
-def _dense(hole: Contour, step: float) -> Points:
+def dense_points(hole: Contour, step: float) -> Points:
+    """Return points of a contour at most about a step apart, m."""
     parts = []
     for piece in hole.pieces:
         arc = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(piece)))])

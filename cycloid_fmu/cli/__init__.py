@@ -8,6 +8,7 @@ app = commands.command_line(
     __name__,
     (
         "new",
+        "report",
         "analyze",
         "losses",
         "draw",

@@ -18,7 +18,11 @@ def new(
     torque: Annotated[float, commands.quantity_option("N*m", "Rated torque at the output.")],
     material: Annotated[str, commands.choice_option(MATERIALS, "Of the discs.")],
     process: Annotated[str, commands.choice_option(PROCESSES, "By which discs and ring are made.")],
-    pin_material: Annotated[str, commands.choice_option(MATERIALS, "Of pins and output pins.")] = "bearing steel",
+    pin_material: Annotated[str, commands.choice_option(MATERIALS, "Of the pins.")] = "bearing steel",
+    ring: Annotated[
+        str,
+        commands.choice_option(("pins", "conjugate"), "Dowels, or arcs in one piece with the ring in their place."),
+    ] = "pins",
     discs: Annotated[int, typer.Option(min=1, max=4, help="Number of discs.")] = 2,
     turning: Annotated[
         str,
@@ -26,6 +30,15 @@ def new(
             ("gear", "ring"), "What turns with the output: the gear's carrier or the ring.", "--output"
         ),
     ] = "gear",
+    length: Annotated[
+        float | None,
+        commands.quantity_option(
+            "m", "Most that the discs may take along the axis.", show_default="0.3 of the outer diameter"
+        ),
+    ] = None,
+    bodies: Annotated[
+        bool, typer.Option("--bodies", help="Discs, output pins and ring are elastic: slower, and no friction.")
+    ] = False,
     folder: Annotated[
         Path | None,
         typer.Option(
@@ -33,7 +46,7 @@ def new(
             "-o",
             metavar="FOLDER",
             file_okay=False,
-            help="Folder for drive.toml, tolerances.toml and figures.json.",
+            help="Folder for drive.toml, tolerances.toml, figures.json and report.html.",
         ),
     ] = None,
     as_json: commands.AsJson = False,
@@ -42,8 +55,12 @@ def new(
 
     Example: [cyan]cycloid-fmu new --ratio 15 --outer-diameter "70 mm" --torque "15 N*m" --material POM --process CNC[/]
     """
-    from cycloid_fmu.studies.sized_figures import figures_of
-    from cycloid_fmu.studies.sizing import Wish, size, write_sizing
+    from cycloid_fmu.draw.design_report import report_of, write_design_report
+    from cycloid_fmu.drive import Drive
+    from cycloid_fmu.studies.sized_figures import FIGURES_HEAD, NOT_COMPUTED, figures_of
+    from cycloid_fmu.studies.sizing import SIZED_FILES, Wish, size, write_sizing
+    from cycloid_fmu.studies.strength import HEAD
+    from cycloid_fmu.surfaces.sampling import parse_tolerances
 
     wish = Wish(
         ratio=ratio,
@@ -52,25 +69,39 @@ def new(
         material=material,
         process=process,
         pin_material=pin_material,
+        ring=ring,
         discs=discs,
         output=turning,
+        length=length,
+        bodies=bodies,
     )
     with commands.status() as progress:
         drive = size(wish, progress)
-        figures = figures_of(drive, progress)
-    numbers = [figure.numbers() for figure in figures]
+        tolerances = parse_tolerances(drive.tolerances, "tolerances of the process")
+        figures, stresses = figures_of(drive.pair, tolerances, drive.bodies, progress)
+    numbers = {"figures": [each.numbers() for each in figures], "stresses": [each.numbers() for each in stresses]}
     if folder is not None:
         write_sizing(drive, folder, numbers)
+        report = report_of(Drive(drive.pair), "drive.toml", drive.text, figures, stresses)
+        write_design_report(report, folder / "report.html")
     if as_json:
-        commands.print_json({"pair": drive.text, "tolerances": drive.tolerances, "figures": numbers})
+        commands.print_json({"pair": drive.text, "tolerances": drive.tolerances, **numbers})
         return
     if folder is None:
         typer.echo(drive.text)
-    commands.print_table("Figures", ["", "as drawn", "range", "unit", "of"], [figure.row() for figure in figures])
+    commands.print_table("Figures", FIGURES_HEAD, [each.row() for each in figures])
+    commands.print_table("Nominal stresses at rated torque", HEAD, [each.row() for each in stresses])
     for note in drive.notes:
         typer.echo(note)
-    typer.echo("Not computed: strength of discs, ring and housing, seals, wear, heat and noise.")
+    typer.echo(NOT_COMPUTED)
     if folder is not None:
-        typer.echo(
-            f"Written: {', '.join(str(folder / name) for name in ('drive.toml', 'tolerances.toml', 'figures.json'))}"
-        )
+        typer.echo(f"Written: {', '.join(str(folder / name) for name in (*SIZED_FILES, 'report.html'))}. Next:")
+        for line in _NEXT:
+            typer.echo(f"  cycloid-fmu {line.format(folder=folder)}")
+
+
+_NEXT = (
+    "profile {folder}/drive.toml -o {folder}/disc.dxf",
+    "build {folder}/drive.toml --native -o {folder}/drive.fmu",
+    'joint {folder}/drive.toml --rotor-inertia "1e-5 kg*m^2" -o {folder}/joint.json',
+)

@@ -60,6 +60,10 @@ def print_judged(judged: Judged, title: str) -> None:
         commands.print_table("Bearings over the duty", LIVES_HEAD, life_rows(judged))
     if judged.sliding:
         commands.print_table("Largest sliding of flanks on pins", SLIDING_HEAD, sliding_rows(judged))
+    if judged.stresses:
+        from cycloid_fmu.studies.strength import HEAD
+
+        commands.print_table("Nominal stresses", HEAD, [one.row() for one in judged.stresses])
     print_verdicts(title, judged.verdicts, judged.not_judged)
 
 

@@ -85,6 +85,10 @@ class Transmission:
         return self.play_high - self.play_low
 
 
+class UnbalancedError(edge.InputError):
+    """A torque that no contacts of a pair can balance."""
+
+
 def rigid_problem(drive: DriveValue, slices: int = 1) -> contact.Problem:
     """Return the contact problem of a drive on rigid bearings.
 
@@ -319,13 +323,13 @@ def check_balance(torque: ArrayLike, balance: ArrayLike) -> None:
 
     Raises
     ------
-    edge.InputError
+    UnbalancedError
         It names the torque.
     """
     failed = ~balances(torque, balance)
     if failed.any():
         first = np.broadcast_to(torque, failed.shape)[failed][0]
-        raise edge.InputError(
+        raise UnbalancedError(
             f"torque = {first:g} N*m: no contacts of this pair can balance it; give one that it can carry."
         )
 

@@ -51,6 +51,8 @@ def holders(motion: Motion, load: int, angle: int) -> list[Circle]:
         holes = centre + supports.circle_radius * around * np.exp(1j * motion.rotation[load, angle, 0])
         radius = hole_radius(motion)
         middle = min(middle, 0.8 * (supports.circle_radius - radius))
+        if supports.kind == "output_rollers" and supports.turning_arm.raceway_diameter is not None:
+            middle = 0.5 * supports.turning_arm.raceway_diameter
         for place, hole in zip(places, holes, strict=True):
             found.append(Circle(complex(hole), radius, True))
             if supports.kind == "cranks":

@@ -126,10 +126,24 @@ class Material(Config):
 
 
 class Materials(Config):
-    """The materials of both flanks."""
+    """The materials of the parts.
+
+    Attributes
+    ----------
+    gear, pin
+        Of both flanks.
+    output_pin, ring
+        Of these bodies and their strength; None for steel whose strength is not known.
+    """
 
     gear: Material = Material()
     pin: Material = Material()
+    output_pin: Material | None = None
+    ring: Material | None = None
+
+    def of(self, part: str) -> Material:
+        """Return the elastic material of a part, steel where none is stated."""
+        return getattr(self, part) or Material()
 
 
 class Modification(Config):
@@ -616,6 +630,9 @@ def _text_of(pair: Pair) -> str:
         "material.gear": pair.material.gear,
         "material.pin": pair.material.pin,
     }
+    for part in ("output_pin", "ring"):
+        if (material := getattr(pair.material, part)) is not None:
+            tables[f"material.{part}"] = material
     for title, table in {"pair": pair, **tables}.items():
         lines += _table_lines(title, table, _Geometry if table is pair else type(table))
     if pair.supports is not None:

@@ -53,6 +53,8 @@ class Bearing(Config):
         Basic dynamic radial load rating C of ISO 281, N, for its life; None if not needed.
     raceway_diameter
         Diameter of the outer raceway, m: if given, the clearance depends on the temperatures of the adjacent bodies.
+    rolling_elements
+        "rollers" or "balls", for its life: C/P to the power 10/3 or 3 (ISO 281).
 
     Examples
     --------
@@ -68,6 +70,12 @@ class Bearing(Config):
     clearance: Clearance = 0.0
     dynamic_capacity: PositiveForce | None = None
     raceway_diameter: sizes.CircleRadius | None = None
+    rolling_elements: Literal["rollers", "balls"] = "rollers"
+
+    @property
+    def life_exponent(self) -> float:
+        """Exponent of C/P in the basic rating life (ISO 281): 3 for balls, 10/3 for rollers."""
+        return 3.0 if self.rolling_elements == "balls" else 10.0 / 3.0
 
     @property
     def is_rigid(self) -> bool:
@@ -81,6 +89,8 @@ class Bearing(Config):
         stated = [n for n in ("stiffness", "rollers") if getattr(self, n) is not None] + ["rigid"] * self.rigid
         if len(stated) > 1:
             raise ValueError(f"it is stated by {' and '.join(stated)}; state one of stiffness, rollers, rigid = true")
+        if self.rollers is not None and self.rolling_elements == "balls":
+            raise ValueError('rolling_elements = "balls" contradicts rollers; state a ball bearing by its stiffness')
         if self.is_rigid and self.clearance > 0.0:
             raise ValueError("a clearance needs a stiffness or rollers; a rigid bearing has none")
         return self

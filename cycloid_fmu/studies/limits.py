@@ -22,6 +22,7 @@ from cycloid_fmu.geometry.pair import Pair, PressureLimit, smallest_convex_radiu
 from cycloid_fmu.geometry.temperature import BodyTemperature
 from cycloid_fmu.losses.heat import Heat
 from cycloid_fmu.studies.friction import FrictionFigures
+from cycloid_fmu.studies.strength import Stress
 from cycloid_fmu.supports.figures import DutyLife
 from cycloid_fmu.surfaces import sampling
 
@@ -62,6 +63,11 @@ class Limits(sampling.Limits):
         Largest allowed on flanks and pins, m.
     temperature
         Largest allowed of the oil that runs the duty until nothing gets warmer, K; by [losses] and [thermal].
+    pin_safety, output_pin_safety, disc_safety
+        Smallest allowed of pins, output pins and discs against yield: permitted over nominal stress in bending, shear,
+        pressure on their seats and webs (`studies.strength`); at every load.
+    fatigue_safety
+        Smallest allowed of all three against fatigue over a crank turn.
     """
 
     torsional_stiffness: Annotated[edge.TorsionalStiffness, _ABOVE_ZERO] | None = None
@@ -72,6 +78,10 @@ class Limits(sampling.Limits):
     friction_power_density: Annotated[edge.PowerDensity, _ABOVE_ZERO] | None = None
     wear_depth: Annotated[edge.Length, _ABOVE_ZERO] | None = None
     temperature: BodyTemperature | None = None
+    pin_safety: float | None = pydantic.Field(default=None, gt=0.0, allow_inf_nan=False)
+    output_pin_safety: float | None = pydantic.Field(default=None, gt=0.0, allow_inf_nan=False)
+    disc_safety: float | None = pydantic.Field(default=None, gt=0.0, allow_inf_nan=False)
+    fatigue_safety: float | None = pydantic.Field(default=None, gt=0.0, allow_inf_nan=False)
 
     @property
     def of_study(self) -> sampling.Limits:
@@ -79,7 +89,9 @@ class Limits(sampling.Limits):
         return sampling.Limits(**{name: getattr(self, name) for name in sampling.Limits.model_fields})
 
 
-LOWER = ("torsional_stiffness", "static_safety", "smallest_curvature_radius", "bearing_life", "efficiency")
+STRENGTH = ("pin_safety", "output_pin_safety", "disc_safety", "fatigue_safety")
+"""Limits on strength."""
+LOWER = ("torsional_stiffness", "static_safety", "smallest_curvature_radius", "bearing_life", "efficiency", *STRENGTH)
 """Limits that are the smallest allowed; the others are the largest."""
 
 
@@ -113,6 +125,7 @@ SHOWN = {
     "back_driving_torque": Shown("N·m", 1.0),
     "self_locking": Shown("", 1.0),
     "temperature": Shown("°C", 1.0, 273.15),
+    **dict.fromkeys(STRENGTH, Shown("", 1.0)),
 }
 """How reports show each figure."""
 
@@ -488,6 +501,19 @@ def judge_friction(
         value = locks.all() if limits.self_locking else locks.any()
         basis = f"from rest, up to {figures.searched_to:g} N·m"
         found.append(verdict("self_locking", float(value), float(limits.self_locking), basis=basis))
+    return found
+
+
+def judge_strength(limits: Limits, stresses: Sequence[Stress]) -> list[Verdict]:
+    """Return the verdicts on strength, each of the lowest safety; none where a stress that it needs is not judged."""
+    found = []
+    for name in STRENGTH:
+        part = name.removesuffix("_safety").replace("_", " ")
+        rows = [one for one in stresses if part in ((one.part,) if one.kind != "fatigue" else ("fatigue",))]
+        limit = getattr(limits, name)
+        if limit is not None and rows and not any(one.reason for one in rows):
+            worst = min(rows, key=lambda one: one.safety)
+            found.append(verdict(name, worst.safety, limit, worst.where, f"{worst.part}, {worst.kind}: {worst.basis}"))
     return found
 
 

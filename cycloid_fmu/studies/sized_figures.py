@@ -1,4 +1,4 @@
-"""The figures of a first drive, each with the range that follows from material, process and friction."""
+"""The figures of a drive for its report, each with the range that follows from material, tolerances and friction."""
 
 from __future__ import annotations
 
@@ -11,22 +11,30 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from cycloid_fmu.analysis import solve
+from cycloid_fmu.contact.transmission import Transmission
 from cycloid_fmu.drive_value import DriveValue
-from cycloid_fmu.geometry.materials import MATERIALS
+from cycloid_fmu.geometry.bodies import Bodies
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.geometry.profile import flank_points
 from cycloid_fmu.losses import figures as friction
 from cycloid_fmu.studies import tolerance
-from cycloid_fmu.studies.sizing import Sizing
+from cycloid_fmu.studies.strength import Stress, strength
 from cycloid_fmu.supports.figures import bearing_loads
-from cycloid_fmu.surfaces.sampling import parse_tolerances
+from cycloid_fmu.surfaces.sampling import Tolerances
 from cycloid_fmu.surfaces.surface import surface_of_pair
 
 Array = NDArray[np.float64]
 _ANGLES = 90  # crank angles of every figure
 _DRIVES = 64  # sampled drives
 _ENDS = (0.05, 0.95)  # of the sampled drives
+_UNKNOWN = (math.nan, math.nan, math.nan)
+_MOTOR_SPEED = 1000.0  # rpm, for a life in hours
 _CRANK_SPEED = 1.0  # rad/s: friction of a drive that turns slowly, without drags of speed
+
+
+FIGURES_HEAD = ("", "as drawn", "range", "unit", "of")
+"""Columns of `Figure.row`."""
+NOT_COMPUTED = "Not computed: strength of crank, carrier, ring and housing, seals, wear, heat and noise."
 
 
 class Figure(NamedTuple):
@@ -62,52 +70,68 @@ class Figure(NamedTuple):
         return [self.name, known[0] or "none", " … ".join(known[1:]) if all(known[1:]) else "", unit, self.basis]
 
 
-def figures_of(drive: Sizing, progress: Callable[[str], None] = lambda step: None) -> list[Figure]:
-    """Return the figures of a first drive.
+def figures_of(
+    pair: Pair,
+    tolerances: Tolerances | None = None,
+    bodies: Bodies | None = None,
+    progress: Callable[[str], None] = lambda step: None,
+) -> tuple[list[Figure], list[Stress]]:
+    """Return the figures of a drive as drawn, at its rated torque, and its nominal stresses.
 
     Parameters
     ----------
-    drive
-        Of `sizing.size`.
+    pair
+        The drive; it must state its rated torque.
+    tolerances
+        What its parts hold, for the range of backlash and transmission error; None without ranges.
+    bodies
+        Dimensions of discs and pins, for masses and stresses; None for those of the pair.
     progress
         Called with the name of each stage.
     """
+    bodies = bodies or pair.bodies
     progress("tolerances")
-    found = _of_tolerances(drive)
+    found = _of_tolerances(pair, tolerances)
     progress("stiffness and pressure")
-    found += _of_material(drive)
-    if drive.pair.losses is not None:
+    solved = _over_modulus(pair)
+    found += _of_material(pair, solved)
+    if pair.losses is not None and pair.supports is not None:
         progress("losses")
-        found += _of_friction(drive)
-    return found + _of_mass(drive)
+        found += _of_friction(pair.replace(bodies=None))
+    progress("strength")
+    stresses = strength(DriveValue(pair, surface_of_pair(pair)), solved[0], bodies)
+    return found + _of_mass(pair, bodies), stresses
 
 
 def _turn() -> Array:
     return np.linspace(0.0, 2.0 * np.pi, _ANGLES, endpoint=False)
 
 
-def _of_tolerances(drive: Sizing) -> list[Figure]:
+def _of_tolerances(pair: Pair, tolerances: Tolerances | None) -> list[Figure]:
     """Backlash and transmission error, as drawn and of sampled drives."""
-    pair = drive.pair.replace(supports=None, losses=None)
-    tolerances = parse_tolerances(drive.tolerances, "tolerances of the process")
+    pair = pair.replace(supports=None, bodies=None, losses=None, thermal=None, temperature=None).nominal
     torque = (pair.rated_load(),)
-    study = tolerance.Study(pair, tolerances, samples=_DRIVES, seed=1, torque=torque, angles=_ANGLES)
-    surfaces = [tolerance.surface_of(study, point) for point in tolerance.points(study)]
-    sampled = tolerance.exact_figures(study, surfaces)
+    samples = 1 if tolerances is None else _DRIVES
+    stated = Tolerances() if tolerances is None else tolerances
+    study = tolerance.Study(pair, stated, samples=samples, seed=1, torque=torque, angles=_ANGLES)
     (drawn,) = tolerance.exact_figures(study, [surface_of_pair(pair)])
+    sampled, basis = np.full((1, drawn.size), np.nan), "the mesh alone"
+    if tolerances is not None:
+        surfaces = [tolerance.surface_of(study, point) for point in tolerance.points(study)]
+        sampled, basis = tolerance.exact_figures(study, surfaces), "the mesh alone; 90 % of drives in the tolerances"
     rows = []
-    basis = f"the mesh alone; 90 % of drives by {drive.wish.process}"
     for key, shown in (("backlash", ("arcmin", edge.ARCMIN)), ("angular_transmission_error", ("arcmin", edge.ARCMIN))):
         column = next(k for k, (name, _) in enumerate(study.columns) if name == key)
         low, high = np.quantile(sampled[:, column], _ENDS).tolist()
-        rows.append(Figure(key.replace("_", " "), "rad", (float(drawn[column]), low, high), basis, shown))
+        taken = "; their errors take from the play as drawn" if key == "backlash" and tolerances is not None else ""
+        rows.append(Figure(key.replace("_", " "), "rad", (float(drawn[column]), low, high), basis + taken, shown))
     return rows
 
 
 def _values(results: Sequence[float]) -> tuple[float, float, float]:
-    """Return the first of three results and the range of the others."""
+    """Return the first of the results and the range of the others, NaN without others."""
     drawn, *ends = results
-    return drawn, min(ends), max(ends)
+    return drawn, min(ends, default=math.nan), max(ends, default=math.nan)
 
 
 def _with_modulus(pair: Pair, modulus: float) -> Pair:
@@ -115,36 +139,41 @@ def _with_modulus(pair: Pair, modulus: float) -> Pair:
     return pair.replace(material=pair.material.replace(gear=gear))
 
 
-def _of_material(drive: Sizing) -> list[Figure]:
-    """Stiffness, largest pressure and its safety, and bearing life, over the range of the discs' modulus."""
-    pair, turn = drive.pair, _turn()
-    material = MATERIALS[drive.wish.material]
-    torque = np.array([pair.rated_load()])
-    solved = []
-    for modulus in (material.modulus, *material.youngs_modulus):
-        one = _with_modulus(pair, modulus)
-        solved.append(solve(DriveValue(one, surface_of_pair(one)), torque, turn, with_play=False))
+def _over_modulus(pair: Pair) -> list[Transmission]:
+    """Return the drive as drawn at its rated torque, and with the ends of the range of its discs' modulus."""
+    value, load = pair.material.gear.value, np.array([pair.rated_load()])
+    drives = [pair, *(_with_modulus(pair, modulus) for modulus in (value.youngs_modulus if value else ()))]
+    return [solve(DriveValue(one, surface_of_pair(one)), load, _turn(), with_play=False) for one in drives]
+
+
+def _of_material(pair: Pair, solved: Sequence[Transmission]) -> list[Figure]:
+    """Stiffness, largest pressure, and bearing life, over the range of the discs' modulus."""
     stiffness = [float(each.torsional_stiffness[0].mean()) for each in solved]
     pressure = [float(each.max_contact_pressure.max()) for each in solved]
-    limit = pair.largest_pressure
-    assert limit is not None
-    of = f"range of the modulus of {drive.wish.material}"
-    elastic = "contacts, eccentric bearing and output pins" if pair.supports else "contacts"
-    permitted = f"permitted {limit.pressure * 1e-6:.0f} MPa {limit.basis}"
+    limit, name = pair.largest_pressure, pair.material.gear.name
+    of = f"; range of the modulus of {name}" if name else ""
+    elastic = "contacts" + (", bearings" if pair.supports else "") + (" and elastic bodies" if pair.bodies else "")
+    permitted = "not judged: the material has no name" + of
+    if limit is not None:
+        permitted = f"permitted {limit.pressure * 1e-6:.0f} MPa {limit.basis}"
     rows = [
-        Figure("torsional stiffness", "N·m/rad", _values(stiffness), f"mean; {elastic} alone; {of}"),
+        Figure("torsional stiffness", "N·m/rad", _values(stiffness), f"mean; {elastic} alone{of}"),
         Figure("contact pressure", "Pa", _values(pressure), permitted, ("MPa", 1e-6)),
     ]
-    if pair.supports is not None:
-        life = min(load.life for load in bearing_loads(pair, solved[0]) if math.isfinite(load.life))
-        basis, million = "crank turns at rated torque, L10 of ISO 281", ("million turns", 1e-6)
-        rows.append(Figure("life of the eccentric bearing", "1", (life, math.nan, math.nan), basis, million))
-    return rows
+    if pair.supports is None:
+        return rows
+    lives = {load.bearing: load.life for load in bearing_loads(pair, solved[0]) if math.isfinite(load.life)}
+    if not lives:
+        return [*rows, Figure("bearing life", "1", _UNKNOWN, "no bearing states its dynamic_capacity")]
+    shortest = min(lives, key=lives.__getitem__)
+    hours = lives[shortest] / (60.0 * _MOTOR_SPEED)
+    basis = f"{shortest}: L10 (ISO 281) at rated torque, {hours:.3g} h at {_MOTOR_SPEED:g} rpm of the crank"
+    million = ("million turns", 1e-6)
+    return [*rows, Figure("bearing life", "1", (lives[shortest], math.nan, math.nan), basis, million)]
 
 
-def _of_friction(drive: Sizing) -> list[Figure]:
+def _of_friction(pair: Pair) -> list[Figure]:
     """Efficiency, starting and back-driving torque, over the range of the friction coefficients."""
-    pair = drive.pair
     value = DriveValue(pair, surface_of_pair(pair))
     found = friction.figures(value, [pair.rated_load()], _turn(), _CRANK_SPEED)
     of = "range of the friction in the table"
@@ -167,43 +196,52 @@ def _of_friction(drive: Sizing) -> list[Figure]:
     return rows
 
 
-def disc_mass(drive: Sizing) -> tuple[float, float]:
-    """Return the mass of one disc and its moment of inertia about its own axis, kg and kg·m².
+def disc_mass(pair: Pair, bodies: Bodies | None) -> tuple[float, float]:
+    """Return the mass of one disc and its moment of inertia about its own axis, kg and kg·m²; NaN where not known.
 
-    The flank's area by Green's theorem, less the holes for output pins and eccentric bearing, at the middle of the
-    range of densities.
+    The flank's area by Green's theorem, less bores and holes, at the middle of the material's range of densities.
     """
-    pair, supports = drive.pair, drive.pair.supports
+    from cycloid_fmu.bodies.outline import bores, other_holes, windows
+
+    disc, material = None if bodies is None else bodies.disc, pair.material.gear.value
+    if disc is None or disc.matrix is not None or material is None:
+        return math.nan, math.nan
     x, y = flank_points(pair, np.linspace(0.0, 2.0 * np.pi, 400 * pair.gear_teeth + 1))
-    cross = x[:-1] * y[1:] - x[1:] * y[:-1]
-    area = 0.5 * float(cross.sum())
-    second = float(
-        (cross * (x[:-1] ** 2 + x[:-1] * x[1:] + x[1:] ** 2 + y[:-1] ** 2 + y[:-1] * y[1:] + y[1:] ** 2)).sum()
-    )
-    second /= 12.0
-    if supports is not None and supports.output_roller is not None and supports.output_roller.radius is not None:
-        hole = supports.output_roller.radius + pair.eccentricity
-        bore = drive.bearing_seat
-        area -= math.pi * (supports.count * hole**2 + bore**2)
-        second -= math.pi * (supports.count * (0.5 * hole**4 + (hole * supports.circle_radius) ** 2) + 0.5 * bore**4)
-    low, high = MATERIALS[drive.wish.material].density
-    density = 0.5 * (low + high)
+    area, second = _area(x + 1j * y)
+    for hole in [*bores(pair, disc, 360), *other_holes(pair, disc, 360), *windows(disc)]:
+        less = _area(np.append(hole.points, hole.points[0]))
+        area, second = area - less[0], second - less[1]
+    density = 0.5 * sum(material.density)
     return density * pair.face_width * area, density * pair.face_width * second
 
 
-def _of_mass(drive: Sizing) -> list[Figure]:
+def _area(curve: NDArray[np.complex128]) -> tuple[float, float]:
+    """Return the area in a closed curve (m²) and its polar moment about the origin (m⁴), by Green's theorem."""
+    x, y = curve.real, curve.imag
+    cross = x[:-1] * y[1:] - x[1:] * y[:-1]
+    squares = x[:-1] ** 2 + x[:-1] * x[1:] + x[1:] ** 2 + y[:-1] ** 2 + y[:-1] * y[1:] + y[1:] ** 2
+    return 0.5 * float(cross.sum()), float((cross * squares).sum()) / 12.0
+
+
+def _of_mass(pair: Pair, bodies: Bodies | None) -> list[Figure]:
     """Mass of discs and pins, inertia of the orbiting discs, unbalance."""
-    pair = drive.pair
-    mass, inertia = disc_mass(drive)
-    low, high = MATERIALS[drive.wish.material].density
+    mass, inertia = disc_mass(pair, bodies)
+    gear, pin = pair.material.gear, pair.material.pin
+    if gear.value is None or pin.value is None or math.isnan(mass):
+        missing = (
+            "name the materials of discs and pins" if gear.value is None or pin.value is None else "state [bodies.disc]"
+        )
+        units = {"mass of discs and pins": "kg", "inertia of the discs at the input": "kg·m²", "unbalance": "kg·m"}
+        return [Figure(name, unit, _UNKNOWN, f"not computed: {missing}") for name, unit in units.items()]
+    low, high = gear.value.density
     spread = (high - low) / (high + low)
-    pins = 0.5 * sum(MATERIALS[drive.wish.pin_material].density) * math.pi * pair.pin_radius**2
+    pins = 0.5 * sum(pin.value.density) * math.pi * pair.pin_radius**2
     pins *= pair.pins * pair.discs * pair.face_width
     discs = pair.discs * mass
     # A disc orbits with the eccentric, and turns about its own axis by 1/z_c of a crank turn, backwards.
     rotor = discs * pair.eccentricity**2 + pair.discs * inertia / pair.gear_teeth**2
     unbalance = mass * pair.eccentricity if pair.discs == 1 else 0.0
-    of = f"range of the density of {drive.wish.material}"
+    of = f"range of the density of {gear.name}"
     ends = (1.0, 1.0 - spread, 1.0 + spread)
     heavy, lazy = (_values([discs * share + pins for share in ends]), _values([rotor * share for share in ends]))
     how = "of one disc" if pair.discs == 1 else "discs opposite each other; a couple remains"

@@ -10,7 +10,7 @@ import dataclasses
 import itertools
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -19,13 +19,15 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from cycloid_fmu.analysis import solve
+from cycloid_fmu.contact.transmission import UnbalancedError
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry import sizes
+from cycloid_fmu.geometry.bodies import Bodies
 from cycloid_fmu.geometry.losses import Losses
 from cycloid_fmu.geometry.materials import MATERIALS
 from cycloid_fmu.geometry.pair import LEAST_TEETH, MOST_TEETH, Pair, PositiveTorque, smallest_convex_radius
 from cycloid_fmu.geometry.processes import PROCESSES, Process, standard_tolerance
-from cycloid_fmu.geometry.supports import Supports
+from cycloid_fmu.geometry.supports import OutputRoller, Supports
 from cycloid_fmu.studies.design import DesignTask, search
 from cycloid_fmu.studies.tolerance import Study, exact_figures, points, surface_of
 from cycloid_fmu.surfaces.sampling import Tolerances, parse_tolerances
@@ -63,6 +65,7 @@ _SEED, _ANGLES = 2, 90  # of these
 _STEP = 0.02  # step of the clearance relative to its range
 _LARGEST_WIDTH = 0.3  # of all discs together relative to the outer diameter
 _LEAST_WIDTH = 2e-3  # m
+_GAP = 0.5e-3  # m, between discs and beside them
 _OUTPUT_PINS = ((6, 8, 5, 4), (10, 12))  # numbers in the order of preference; many small ones only if few do not fit
 _TRIALS = 5  # doublings of the diameter or quarterings of the torque, and bisections, for the nearest possible drive
 _WIDENED = 5  # times that the face width is adapted to the bearings
@@ -87,13 +90,19 @@ class Wish(edge.Config):
     material
         Of discs, a name of `materials.MATERIALS`.
     pin_material
-        Of pins and output pins.
+        Of the pins, or with ring = "conjugate" not used. Output pins are of case-hardened steel.
+    ring
+        "pins": dowels in the ring; "conjugate": a ring in one piece with arcs of the discs' material in place of pins.
     process
         By which discs and ring are made, a name of `processes.PROCESSES`.
     discs
         Number of discs.
     output
         "gear": the carrier turns; "ring": the ring does.
+    length
+        Most that the discs may take along the axis with 0.5 mm between and beside them, m; None for no limit.
+    bodies
+        Whether discs, output pins and ring are elastic in the drive.
 
     Examples
     --------
@@ -109,8 +118,11 @@ class Wish(edge.Config):
     material: str
     process: str
     pin_material: str = "bearing steel"
+    ring: Literal["pins", "conjugate"] = "pins"
     discs: int = pydantic.Field(default=2, ge=1, le=4, strict=True)
     output: Literal["gear", "ring"] = "gear"
+    length: sizes.Width | None = None
+    bodies: bool = pydantic.Field(default=False, strict=True)
 
     @pydantic.field_validator("material", "pin_material")
     @classmethod
@@ -132,12 +144,19 @@ class Wish(edge.Config):
                 f"ratio = {self.ratio}: one stage has a ratio from {least} to {most} with output = {self.output!r}; "
                 "a larger one needs a first stage before it"
             )
+        if self.bodies and self.output == "ring":
+            raise ValueError('bodies = true needs bearings, which output = "ring" does not have')
         return self
 
     @property
     def gear_teeth(self) -> int:
         """Teeth of the discs: the ratio with the gear as output, one less with the ring."""
         return abs(self.ratio) - (self.output == "ring")
+
+    @property
+    def material_of_pins(self) -> str:
+        """Material of the pins, or of the arcs in their place."""
+        return self.material if self.ring == "conjugate" else self.pin_material
 
 
 @dataclasses.dataclass(frozen=True)
@@ -156,8 +175,11 @@ class Sizing:
         {"table.key" of the pair file: why this value}.
     notes
         What is assumed, rigid or not judged, one sentence each.
-    bearing_seat
-        Radius of the discs' bore for the eccentric bearing, m; 0 where it is not sized.
+    bodies
+        Its discs, output pins and ring as elastic bodies, whether or not they are so in `pair`; None where output and
+        bearings are not sized.
+    contact_stiffness
+        Of an output pin in its hole, N/m: with elastic bodies, which have the bending, in place of both.
     """
 
     wish: Wish
@@ -165,7 +187,8 @@ class Sizing:
     tolerances: str
     reasons: dict[str, str]
     notes: tuple[str, ...]
-    bearing_seat: float = 0.0
+    bodies: Bodies | None = None
+    contact_stiffness: float = math.nan
 
     @property
     def text(self) -> str:
@@ -174,7 +197,8 @@ class Sizing:
         wish = self.wish
         head = (
             f"# |ratio| {abs(wish.ratio)}, {wish.outer_diameter * 1e3:g} mm outside, {wish.torque:g} N*m; discs of "
-            f"{wish.material} by {wish.process}, pins of {wish.pin_material}."
+            f"{wish.material} by {wish.process}, {'arcs' if wish.ring == 'conjugate' else 'pins'} of "
+            f"{wish.material_of_pins}."
         )
         table, found = "", [head, *(f"# {note}" for note in self.notes), title]
         for line in lines:
@@ -184,6 +208,15 @@ class Sizing:
             else:
                 reason = self.reasons.get(f"{table}.{line.split(' = ')[0]}")
             found.append(f"{line}  # {reason}" if reason else line)
+        if self.bodies is not None and self.pair.bodies is None:
+            stiffness = f'"{self.contact_stiffness * 1e-6:.3g} N/um"'
+            found.append(
+                f"# Elastic bodies; with them [supports.output_roller] stiffness = {stiffness}, the contact alone."
+            )
+            elastic = self.pair.replace(bodies=self.bodies).text.splitlines()
+            first = elastic.index("[bodies]")
+            last = next((k for k in range(first, len(elastic)) if elastic[k].startswith("[losses")), len(elastic))
+            found += [f"# {line}" for line in elastic[first:last]]
         return "\n".join(found) + "\n"
 
 
@@ -230,7 +263,7 @@ def process_tolerances(wish: Wish, mesh: _Mesh) -> str:
         return f'"{value * 1e6:.2g} um"'
 
     rows = [f"[{key}]\nsingle = {um(place)}\ncumulative = {um(2.0 * place)}" for key in ("gear_pitch", "pin_pitch")]
-    each = standard_tolerance(6, 2.0 * mesh.pin) / 4.0
+    each = flank if wish.ring == "conjugate" else standard_tolerance(6, 2.0 * mesh.pin) / 4.0
     for key, value in {
         "pin_radius_each": each,
         "centre_distance_x": place,
@@ -239,7 +272,8 @@ def process_tolerances(wish: Wish, mesh: _Mesh) -> str:
         "isometric": flank,
     }.items():
         rows.append(f"[{key}]\ntolerance = {um(value)}")
-    head = f"# What {wish.process} holds: IT{process.grade} of ISO 286-1 ({process.source}); pins m6 (ISO 8734).\n"
+    head = f"# What {wish.process} holds: IT{process.grade} of ISO 286-1 ({process.source})"
+    head += ".\n" if wish.ring == "conjugate" else "; pins m6 (ISO 8734).\n"
     return head + 'format = "cycloid-tolerances/1"\n' + "\n".join(rows) + "\n"
 
 
@@ -270,13 +304,16 @@ def size(wish: Wish, progress: Callable[[str], None] = lambda step: None) -> Siz
         return _sized(wish, progress)
     except _TooSmallError as problem:
         raise edge.InputError(f"There is no such drive: {problem}. {_nearest(wish, progress)}") from None
+    except UnbalancedError:
+        said = f"There is no such drive: no contacts that fit can balance {wish.torque:g} N*m"
+        raise edge.InputError(f"{said}. {_nearest(wish, progress)}") from None
 
 
 def _sized(wish: Wish, progress: Callable[[str], None], search_modification: bool = True) -> Sizing:
     process, gear = PROCESSES[wish.process], MATERIALS[wish.material]
     mesh = _mesh(wish, process)
     tolerances = process_tolerances(wish, mesh)
-    width = max(_LEAST_WIDTH, process.wall, 0.5 * _LARGEST_WIDTH * wish.outer_diameter / wish.discs)
+    width = min(max(_LEAST_WIDTH, process.wall, 0.5 * _LARGEST_WIDTH * wish.outer_diameter / wish.discs), _widest(wish))
     pair = Pair(
         gear_teeth=wish.gear_teeth,
         pin_circle_radius=mesh.circle,
@@ -286,7 +323,12 @@ def _sized(wish: Wish, progress: Callable[[str], None], search_modification: boo
         discs=wish.discs,
         output=wish.output,
         rated_torque=wish.torque,
-        material={"gear": {"name": wish.material}, "pin": {"name": wish.pin_material}},
+        material={
+            "gear": {"name": wish.material},
+            "pin": {"name": wish.material_of_pins},
+            "output_pin": {"name": _OUTPUT_STEEL} if wish.output == "gear" else None,
+            "ring": {"name": wish.material},
+        },
     )
     if search_modification:
         pair = _modified(pair, parse_tolerances(tolerances, "tolerances of the process"), process, progress)
@@ -303,13 +345,21 @@ def _sized(wish: Wish, progress: Callable[[str], None], search_modification: boo
         "pair.rated_torque": "the wish",
         "pair.discs": "opposite each other, so balanced" if wish.discs > 1 else "unbalanced: one disc",
         "modification.isometric": f"with offset: least backlash at which {_YIELD:.0%} of drives by {wish.process} turn",
-        "material.gear": gear.source.replace("#", ""),
-        "material.pin": MATERIALS[wish.pin_material].source,
+        "material.gear": gear.source.split(";")[0],
+        "material.pin": MATERIALS[wish.material_of_pins].source.split(";")[0],
+        "material.output_pin": "for their strength",
+        "material.ring": "for its strength",
     }
     notes = [
-        "A first drive: sizes by rules, modification and face width by the search of `design`; its bodies are rigid, "
-        "so the real drive is softer.",
+        "A first drive: sizes by rules, modification and face width by the search of `design`"
+        + ("." if wish.bodies else "; its bodies are rigid, so the real drive is softer."),
     ]
+    if wish.ring == "conjugate":
+        reasons["pair.pin_radius"] = f"arcs of the ring, at most {_PIN_SHARE:g} of their distance in diameter"
+        notes.append(
+            "Ring without pins: in the model its arcs are fixed pins of the discs' material; between them it must stay "
+            "outside of the discs' teeth."
+        )
     if gear.creeps:
         notes.append(
             f"{wish.material} creeps: under lasting load modulus and strength fall to a half or less, which is not "
@@ -322,7 +372,12 @@ def _sized(wish: Wish, progress: Callable[[str], None], search_modification: boo
         if pair.face_width == output.bearing_width:
             reasons["pair.face_width"] = _AS_WIDE
         notes += output.notes
-        return Sizing(wish, pair, tolerances, reasons, tuple(notes), output.bearing_seat)
+        bodies = _bodies(wish, pair, output)
+        if wish.bodies:
+            rollers = {"output_roller": output.rollers.replace(stiffness=output.contact_stiffness)}
+            pair = pair.replace(bodies=bodies, supports=output.supports.replace(**rollers))
+            reasons["supports.output_roller"] = "contact alone, because the output pins bend as bodies"
+        return Sizing(wish, pair, tolerances, reasons, tuple(notes), bodies, output.contact_stiffness)
     notes.append('output = "ring": bearings and output are not modelled, so neither sized here; no losses.')
     return Sizing(wish, pair, tolerances, reasons, tuple(notes))
 
@@ -370,8 +425,8 @@ def _wide_enough(
     reached = largest_pressure(pair.replace(face_width=most))
     if reached > pressure:
         raise _TooSmallError(
-            f"at the largest face width, {most * 1e3:.3g} mm a disc, the contact pressure is {reached * 1e-6:.0f} MPa, "
-            f"and {wish.material} bears {pressure * 1e-6:.0f} MPa"
+            f"at the largest face width, {most * 1e3:.3g} mm a disc, the contact pressure is {reached * 1e-6:.4g} MPa, "
+            f"and {wish.material} bears {pressure * 1e-6:.4g} MPa"
         )
     task = DesignTask(
         goals=("face_width",), vary={"face_width": (least, most)}, limits={"max_contact_pressure": pressure}
@@ -380,26 +435,60 @@ def _wide_enough(
     (found,) = search(pair.replace(face_width=most), task, starts=0)
     needed = found.pair.face_width
     why = f"for {pressure * 1e-6:.0f} MPa at rated torque" if needed > 1.001 * least else "the least by rule"
-    return found.pair.replace(face_width=_half_mm(needed)), why
+    return found.pair.replace(face_width=min(_half_mm(needed), round(most, 6))), why
 
 
 def _widest(wish: Wish) -> float:
     """Return the largest face width of a disc, m."""
-    return _LARGEST_WIDTH * wish.outer_diameter / wish.discs
+    most, least = _LARGEST_WIDTH * wish.outer_diameter / wish.discs, max(_LEAST_WIDTH, PROCESSES[wish.process].wall)
+    if wish.length is not None:
+        most = min(most, (wish.length - _GAP * (wish.discs + 1)) / wish.discs)
+    if most < least:
+        raise _TooSmallError(
+            f"{wish.discs} discs of at least {least * 1e3:.3g} mm with gaps of {_GAP * 1e3:g} mm do not fit"
+        )
+    return most
+
+
+def _length(pair: Pair) -> float:
+    """Return what the discs take along the axis with gaps between and beside them, m."""
+    return pair.discs * pair.face_width + (pair.discs + 1) * _GAP
 
 
 class _Output(NamedTuple):
     """Supports and losses of a drive with output pins, with their reasons and notes.
 
-    The last two are the radius of the eccentric bearing's seat in the discs, and the bearing's width, m.
+    The last are the radius of the eccentric bearing's seat in the discs, the bearing's width, m, and the stiffness of
+    an output pin's contact alone, N/m.
     """
 
     supports: Supports
-    losses: Losses
+    losses: Losses | None
     reasons: dict[str, str]
     notes: list[str]
     bearing_seat: float
     bearing_width: float
+    contact_stiffness: float
+
+    @property
+    def rollers(self) -> OutputRoller:
+        """The output pins."""
+        assert self.supports.output_roller is not None
+        return self.supports.output_roller
+
+
+def _bodies(wish: Wish, pair: Pair, output: _Output) -> Bodies:
+    """Return discs, output pins and ring as elastic bodies; the crank's shape is not known, pins lie in the ring."""
+    rollers = output.rollers
+    assert rollers.radius is not None
+    half = round(0.5 * _length(pair), 9)
+    hole = rollers.radius + pair.eccentricity + 0.5 * rollers.clearance
+    return Bodies(
+        disc_spacing=pair.face_width + _GAP,
+        disc={"bore_radius": output.bearing_seat, "roller_hole_radius": round(hole, 9)},
+        output_pin={"ends": "clamped", "from": -half, "to": half, "diameter": 2.0 * rollers.radius},
+        ring={"outer_radius": 0.5 * wish.outer_diameter, "width": 2.0 * half},
+    )
 
 
 def _output(wish: Wish, pair: Pair, process: Process) -> _Output:
@@ -414,7 +503,7 @@ def _output(wish: Wish, pair: Pair, process: Process) -> _Output:
     wall, e = process.wall, pair.eccentricity
     input_torque = wish.torque / abs(pair.ratio)
     shaft = (2.0 * input_torque / (math.pi * _SHEAR)) ** (1.0 / 3.0)  # radius
-    length = pair.discs * pair.face_width + (pair.discs + 1) * 0.5e-3
+    length = _length(pair)
     strength = MATERIALS[_OUTPUT_STEEL].bending_fatigue
     assert strength is not None
     allowed = strength[0] / _SAFETY
@@ -453,8 +542,8 @@ def _held(wish: Wish, pair: Pair, process: Process, pressure: float) -> tuple[_O
         if pair.face_width > most:
             break
     raise _TooSmallError(
-        f"on its bearings the contact pressure is {reached * 1e-6:.0f} MPa at a face width of "
-        f"{held.face_width * 1e3:.3g} mm, and {wish.material} bears {pressure * 1e-6:.0f} MPa"
+        f"on its bearings the contact pressure is {reached * 1e-6:.4g} MPa at a face width of "
+        f"{held.face_width * 1e3:.3g} mm, and {wish.material} bears {pressure * 1e-6:.4g} MPa"
     )
 
 
@@ -484,15 +573,50 @@ def _with_output(
         kind="output_rollers",
         count=count,
         circle_radius=circle,
-        turning_arm={"stiffness": _three(stiffness), "dynamic_capacity": 1e3 * capacity},
+        turning_arm={
+            "stiffness": _three(stiffness),
+            "dynamic_capacity": round(1e3 * capacity, 3),
+            "rolling_elements": "balls",
+            "raceway_diameter": 1e-3 * outside,
+        },
         output_roller={
             "stiffness": _three(1.0 / (1.0 / bending + 1.0 / contact)),
             "clearance": min(clearance, 2e-4),
             "radius": pin,
         },
     )
-    friction = _friction_of(wish.material)
-    losses = Losses(
+    losses = _losses(wish, pin, bore, outside)
+    reasons = {
+        "supports.count": f"output pins of {2e3 * pin:g} mm in holes of {2e3 * (pin + pair.eccentricity):.4g} mm",
+        "supports.circle_radius": "between the eccentric bearing and the roots of the flank",
+        "supports.turning_arm": f"ball bearing {bore:g} x {outside:g} mm, series 618; stiffness by Palmgren",
+        "supports.turning_arm.raceway_diameter": "its outer ring's outside, the bore of the discs",
+        "supports.output_roller": f"contact and bending, held at both ends, at {force:.0f} N",
+        "losses.flank": "values to begin with; measure the drive",
+        "losses.output_contact": "pins that do not turn; bushings would lose less",
+        "losses.turning_arm": "deep groove, greased (Palmgren)",
+        "losses.lubricant": "assumed: a grease's base oil, ISO VG 100",
+    }
+    notes = [
+        "Rigid here, because nothing is known of them: crank shaft and its bearings, main bearing, pin seats.",
+        "Assumed: pins lie in the ring over their width, output pins are held at both ends.",
+    ]
+    if losses is None:
+        notes.append(
+            f"Efficiency and torques from rest are not known: no friction of {wish.material} on "
+            f"{wish.material_of_pins} is in the table; state [losses]."
+        )
+    if clearance > 2e-4:
+        notes.append(f"The clearance of the output holes would be {clearance * 1e6:.0f} µm; the model ends at 200 µm.")
+    return _Output(supports, losses, reasons, notes, 0.5e-3 * outside, 1e-3 * ball_width, _three(contact))
+
+
+def _losses(wish: Wish, pin: float, bore: float, outside: float) -> Losses | None:
+    """Return friction to begin with; None where no source states it for the discs on pins of their material."""
+    if not any("steel" in name for name in (wish.material, wish.material_of_pins)):
+        return None
+    friction = _friction_of(wish)
+    return Losses(
         flank={"friction": friction},
         output_contact={"friction": friction},
         output_roller={"outer_radius": pin},
@@ -503,23 +627,6 @@ def _with_output(
         },
         lubricant={"viscosity_40": 100e-6, "viscosity_100": 11e-6, "temperature": 313.15},
     )
-    reasons = {
-        "supports.count": f"output pins of {2e3 * pin:g} mm in holes of {2e3 * (pin + pair.eccentricity):.4g} mm",
-        "supports.circle_radius": "between the eccentric bearing and the roots of the flank",
-        "supports.turning_arm": f"ball bearing {bore:g} x {outside:g} mm, series 618; stiffness by Palmgren",
-        "supports.output_roller": f"contact and bending, held at both ends, at {force:.0f} N",
-        "losses.flank": "values to begin with; measure the drive",
-        "losses.output_contact": "pins that do not turn; bushings would lose less",
-        "losses.turning_arm": "deep groove, greased (Palmgren)",
-        "losses.lubricant": "assumed: a grease's base oil, ISO VG 100",
-    }
-    notes = [
-        "Rigid here, because nothing is known of them: crank shaft and its bearings, main bearing, pin seats.",
-        "Lives by ISO 281 with the exponent of rollers; the eccentric runs on balls, whose exponent is 3.",
-    ]
-    if clearance > 2e-4:
-        notes.append(f"The clearance of the output holes would be {clearance * 1e6:.0f} µm; the model ends at 200 µm.")
-    return _Output(supports, losses, reasons, notes, 0.5e-3 * outside, 1e-3 * ball_width)
 
 
 def _three(value: float) -> float:
@@ -550,12 +657,10 @@ def _roller_stiffness(pair: Pair, pin: float, force: float) -> float:
     return float(force / approach)
 
 
-def _friction_of(material: str) -> str:
-    """Return the entry of `friction_values.VALUES` for pins of steel on a material."""
-    value = MATERIALS[material]
-    if not value.creeps:
-        return "steel, grease"
-    return {"POM": "POM, dry"}.get(material, "plastic, dry")
+def _friction_of(wish: Wish) -> str:
+    """Return the entry of `friction_values.VALUES` for discs and pins of which at least one is of steel."""
+    soft = [name for name in (wish.material, wish.material_of_pins) if MATERIALS[name].creeps]
+    return {"POM": "POM, dry"}.get(soft[0], "plastic, dry") if soft else "steel, grease"
 
 
 def _nearest(wish: Wish, progress: Callable[[str], None]) -> str:
@@ -596,8 +701,12 @@ def largest_pressure(pair: Pair, angles: int = 90) -> float:
     return float(found.max_contact_pressure.max())
 
 
-def write_sizing(drive: Sizing, folder: str | os.PathLike[str], figures: Sequence[dict[str, Any]]) -> None:
-    """Write a first drive into a folder, which is created: `drive.toml`, `tolerances.toml` and `figures.json`.
+SIZED_FILES = ("drive.toml", "tolerances.toml", "figures.json")
+"""What `write_sizing` writes."""
+
+
+def write_sizing(drive: Sizing, folder: str | os.PathLike[str], figures: Mapping[str, Any]) -> None:
+    """Write a first drive with its figures into a folder, which is created: `SIZED_FILES`.
 
     Raises
     ------
@@ -605,11 +714,7 @@ def write_sizing(drive: Sizing, folder: str | os.PathLike[str], figures: Sequenc
         If a file can't be written.
     """
     target = edge.created_folder(folder)
-    texts = {
-        "drive.toml": drive.text,
-        "tolerances.toml": drive.tolerances,
-        "figures.json": edge.json_text(list(figures)),
-    }
-    for name, text in texts.items():
+    texts = (drive.text, drive.tolerances, edge.json_text(dict(figures)))
+    for name, text in zip(SIZED_FILES, texts, strict=True):
         with edge.written_whole(target / name) as temporary:
             temporary.write_text(text, encoding="utf-8")

@@ -20,6 +20,7 @@ from cycloid_fmu.losses.heat import Heat, Running, heat
 from cycloid_fmu.studies import limits as judging
 from cycloid_fmu.studies.friction import FIGURES, friction_figures, sliding_at
 from cycloid_fmu.studies.limits import DutyLoad, Requirements, Verdict
+from cycloid_fmu.studies.strength import Stress, strength
 from cycloid_fmu.supports.figures import DutyLife, bearing_loads, lives_over_duty
 from cycloid_fmu.wear.friction import Sliding
 from cycloid_fmu.wear.life import WearRun
@@ -46,6 +47,8 @@ class Judged:
         Shape (angles,), rad, of `sliding`.
     sliding
         Sliding of the pins for each row of the duty that turns under load.
+    stresses
+        Nominal stresses of pins, output pins and discs, if a limit asks for them.
     """
 
     verdicts: tuple[Verdict, ...]
@@ -53,6 +56,7 @@ class Judged:
     lives: tuple[DutyLife, ...]
     crank_angle: Array
     sliding: tuple[tuple[DutyLoad, Sliding], ...]
+    stresses: tuple[Stress, ...] = ()
 
     @property
     def met(self) -> bool:
@@ -74,6 +78,7 @@ class Judged:
             "not_judged": list(self.not_judged),
             "bearing_lives": [dataclasses.asdict(one) for one in self.lives],
             "sliding": sliding,
+            "stresses": [one.numbers() for one in self.stresses],
         }
 
     def labelled(self, data: xr.Dataset) -> xr.Dataset:
@@ -191,8 +196,12 @@ def judge_sweep(
         rubbed = friction_figures(drive, asked, loads, [w for _, w in driven], found.crank_angle, workers)
         verdicts += judging.judge_friction(requirements.limits, [load for load, _ in driven], found.crank_angle, rubbed)
     verdicts += judging.judge_heat(requirements.limits, _heat_over(drive, requirements, found.crank_angle, workers))
+    stresses = list[Stress]()
+    if not set(judging.STRENGTH).isdisjoint(requirements.limits.stated()):
+        stresses = strength(drive, found)
+        verdicts += judging.judge_strength(requirements.limits, stresses)
     missing = judging.not_judged(requirements.limits, verdicts)
-    return Judged(tuple(verdicts), tuple(missing), tuple(lives), found.crank_angle, tuple(sliding))
+    return Judged(tuple(verdicts), tuple(missing), tuple(lives), found.crank_angle, tuple(sliding), tuple(stresses))
 
 
 def _heat_over(drive: DriveValue, requirements: Requirements, crank_angle: Array, workers: int) -> Heat | None:

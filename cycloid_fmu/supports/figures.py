@@ -20,7 +20,6 @@ from cycloid_fmu.supports.transmission import OnBearings, solve
 from cycloid_fmu.surfaces.surface import nominal_surface
 
 Array = NDArray[np.float64]
-LIFE_EXPONENT = 10.0 / 3.0  # roller bearings (ISO 281)
 LOADS = (0.5, 1.0)  # of the rated torque, between which catalogues define the stiffness
 _ANGLES = 90
 
@@ -155,20 +154,23 @@ class BearingLoad:
         Largest force, and the constant force with the same life, N.
     life
         Basic rating life L10 in crank turns (ISO 281); infinite without load, NaN without a load rating.
+    exponent
+        Of the load in its life: 3 for balls, 10/3 for rollers.
     """
 
     bearing: str
     largest: float
     equivalent: float
     life: float
+    exponent: float = 10.0 / 3.0
 
 
-def equivalent_load(force: ArrayLike) -> Array:
+def equivalent_load(force: ArrayLike, exponent: float = 10.0 / 3.0) -> Array:
     """Return the constant load with the same life as forces over equal steps of the crank (first axis), N.
 
-    It is the mean of F^p to the power 1/p, with p = 10/3 for roller bearings (ISO 281, at constant speed).
+    It is the mean of F^p to the power 1/p, with p = 10/3 for roller and 3 for ball bearings (ISO 281, constant speed).
     """
-    return np.asarray(np.mean(np.asarray(force) ** LIFE_EXPONENT, axis=0) ** (1.0 / LIFE_EXPONENT))
+    return np.asarray(np.mean(np.asarray(force) ** exponent, axis=0) ** (1.0 / exponent))
 
 
 def bearing_loads(pair: Pair, swept: Transmission, load: int = 0) -> list[BearingLoad]:
@@ -201,15 +203,17 @@ def bearing_loads(pair: Pair, swept: Transmission, load: int = 0) -> list[Bearin
             continue
         # Turns of the inner ring relative to the outer ring per crank turn.
         turns = np.broadcast_to(np.abs(rate[kind.outer] - rate[kind.inner]), kind.shape)
-        capacity = getattr(supports, kind.name).dynamic_capacity
+        bearing = getattr(supports, kind.name)
+        capacity, exponent = bearing.dynamic_capacity, bearing.life_exponent
         for member in np.ndindex(kind.shape):
             force = forces[kind.name][(load, slice(None), *member)]
-            equivalent, life = float(equivalent_load(force)), math.nan
+            equivalent, life = float(equivalent_load(force, exponent)), math.nan
             if capacity is not None:
                 share = capacity / equivalent if equivalent > 0.0 else math.inf
-                life = 1e6 * share**LIFE_EXPONENT / float(turns[member])
+                life = 1e6 * share**exponent / float(turns[member])
             numbers = [f"{axis} {i}" for axis, i in zip(kind.grid, member, strict=True) if axis in numbered]
-            rows.append(BearingLoad(", ".join([names[kind.name], *numbers]), float(force.max()), equivalent, life))
+            name = ", ".join([names[kind.name], *numbers])
+            rows.append(BearingLoad(name, float(force.max()), equivalent, life, exponent))
     return rows
 
 
@@ -238,8 +242,8 @@ def lives_over_duty(
     """Return every bearing's load and basic rating life over a duty.
 
     Damage accumulates linearly (Palmgren-Miner), which gives ISO 281's mean load for varying load and speed: P = (sum(q
-    n P_i^p)/sum(q n))^(1/p), p = 10/3, over shares q of time at speeds n. Modified lives (a_ISO) need the lubricant's
-    viscosity and cleanliness, which no file states.
+    n P_i^p)/sum(q n))^(1/p), with each bearing's p, over shares q of time at speeds n. Modified lives (a_ISO) need the
+    lubricant's viscosity and cleanliness, which no file states.
 
     Parameters
     ----------
@@ -256,8 +260,9 @@ def lives_over_duty(
         used = math.fsum(turns / row.life for turns, row in zip(turning, rows, strict=True) if turns > 0.0)
         equivalent = 0.0
         if turning.any():
-            parts = turning @ np.array([row.equivalent**LIFE_EXPONENT for row in rows])
-            equivalent = float((parts / turning.sum()) ** (1.0 / LIFE_EXPONENT))
+            exponent = rows[0].exponent
+            parts = turning @ np.array([row.equivalent**exponent for row in rows])
+            equivalent = float((parts / turning.sum()) ** (1.0 / exponent))
         life = math.nan if math.isnan(rows[0].life) else math.inf if used == 0.0 else 1.0 / used
         lives.append(DutyLife(rows[0].bearing, equivalent, life))
     return lives

@@ -32,7 +32,8 @@ SLOW = 1e-3
 """Speed of the crank of recordings without times, rad/s: friction is that of slow motion."""
 SCATTER_OF_COEFFICIENTS = 1.25
 """Distance of fitted coefficients from the truth in standard errors of the linear model, rms of 20 random drives; of
-110 fits from the truth it is 1.1, so a part is that searches end a little beside the optimum (docs/identify.md)."""
+110 fits from the truth it is 1.1, so a part is that searches end a little beside the optimum
+(docs/identify_coverage.md)."""
 _ALIKE = 0.9  # correlation of two unknowns
 _OF_FRICTION = "_friction_coefficient"
 

@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from cycloid_fmu import edge
+from cycloid_fmu.draw.pages import made_now
 from fitting.figures.budget import BUDGET_HEAD, field_factor
 from fitting.figures.conformity import RULES, Certificate, Decision, decisions_of, verdict_of
 from fitting.figures.metrics import Figures
 from fitting.reports.figures_report import BUDGETS, SOURCES, budget_tables, sources_of, title_of
-from fitting.reports.page import html_page, made_now
+from fitting.reports.page import html_page
 from fitting.reports.panels import Panel, Trace
 
 FORMATS = (".html",)

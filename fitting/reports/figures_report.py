@@ -13,11 +13,12 @@ import numpy as np
 
 from cycloid_fmu import __version__, edge
 from cycloid_fmu.draw.figure import figure_of_names
+from cycloid_fmu.draw.pages import A4, HEADING, MONOSPACED, made_now, text_pages
 from fitting.figures.budget import BUDGET_HEAD, budget_rows
 from fitting.figures.figure import Figure, in_field_units
 from fitting.figures.metrics import FRICTION_FREE, Figures
 from fitting.figures.orders import ORDERS_HEAD, order_rows
-from fitting.reports.page import html_page, made_now
+from fitting.reports.page import html_page
 from fitting.reports.panels import Panel, panels_of
 
 FORMATS = (".html", ".pdf")
@@ -159,20 +160,16 @@ def html_report(found: Figures, panels: Sequence[Panel]) -> str:
     )
 
 
-_A4 = (8.27, 11.69)
-_LINES = 62  # lines of text per page
-
-
 def _write_pdf(found: Figures, panels: Sequence[Panel], path: Path) -> None:
     from matplotlib.backends.backend_pdf import PdfPages
 
     from fitting.reports.plots import draw_panel
 
     with PdfPages(path, metadata={"Title": "Test bench report", "Creator": f"cycloid-fmu {__version__}"}) as pdf:
-        for page in _text_pages(found):
+        for page in text_pages(_text_lines(found)):
             pdf.savefig(page)
         for begin in range(0, len(panels), 2):
-            page = figure_of_names()(figsize=_A4, layout="constrained")
+            page = figure_of_names()(figsize=A4, layout="constrained")
             page.get_layout_engine().set(rect=(0.03, 0.03, 0.94, 0.94), hspace=0.08)  # type: ignore[union-attr, call-arg]
             axes = page.subplots(2, 1)
             for axis in axes[len(panels[begin : begin + 2]) :]:
@@ -184,15 +181,14 @@ def _write_pdf(found: Figures, panels: Sequence[Panel], path: Path) -> None:
             pdf.savefig(page)
 
 
-def _text_pages(found: Figures) -> list[Any]:
-    """Return pages of text lines with the table of figures, the budgets, the notes and the recordings."""
+def _text_lines(found: Figures) -> list[tuple[str, dict[str, Any]]]:
+    """Return text lines with the table of figures, the budgets, the notes and the recordings."""
     lines: list[tuple[str, dict[str, Any]]] = [
         ("Test bench report", {"fontsize": 16, "weight": "bold"}),
         (_facts(found), {"color": "#555555"}),
         ("", {}),
     ]
-    mono = {"family": "DejaVu Sans Mono", "fontsize": 8}
-    heading = {"weight": "bold", "fontsize": 11}
+    mono, heading = MONOSPACED, HEADING
     lines.append(("Figures", heading))
     lines.append((f"{'figure':<42} {'value':>10} {'± (95 %)':>10} {'unit':<11} of", {**mono, "weight": "bold"}))
     for row in figure_rows(found):
@@ -224,10 +220,4 @@ def _text_pages(found: Figures) -> list[Any]:
             )
         )
         lines.append((f"    SHA-256 {s['checksum']}", {**mono, "fontsize": 6.5, "color": "#777777"}))
-    pages = []
-    for begin in range(0, len(lines), _LINES):
-        page = figure_of_names()(figsize=_A4)
-        for number, (text, style) in enumerate(lines[begin : begin + _LINES]):
-            page.text(0.07, 0.95 - number * 0.9 / _LINES, text, **{"fontsize": 8.5, **style})
-        pages.append(page)
-    return pages
+    return lines

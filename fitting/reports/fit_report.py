@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from cycloid_fmu import edge
+from cycloid_fmu.draw.pages import made_now
 from cycloid_fmu.edge import ARCMIN, ARCSEC
 from cycloid_fmu.errors.kinds import kind_of
 from cycloid_fmu.surfaces.sampling import PitchErrors, Tolerances
@@ -23,7 +24,7 @@ from fitting.figures.spectrum import spectrum
 from fitting.model.discrepancy import SENTENCES
 from fitting.model.loops import LoopFit
 from fitting.model.observations import CHAIN, MISFIT
-from fitting.reports.page import html_page, made_now
+from fitting.reports.page import html_page
 from fitting.reports.panels import Panel, Trace, label_of, spectra_panel
 from fitting.reports.ring import ring_panel
 

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cycloid_fmu import edge
+from cycloid_fmu.draw.pages import made_now
 from cycloid_fmu.edge import ARCMIN, ARCSEC
-from fitting.reports.page import html_page, made_now
+from fitting.reports.page import html_page
 from fitting.reports.panels import HeatMap, Panel, Trace
 
 if TYPE_CHECKING:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import datetime
 import html
 import json
 import math
@@ -12,42 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from cycloid_fmu import __version__, edge
+from cycloid_fmu import edge
+from cycloid_fmu.draw.pages import HTML_HEAD
 from fitting.reports.panels import Panel, Trace, names_above, x_range
 
 COLOURS = ("#1f77b4", "#d62728", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf", "#8c564b", "#e377c2")
 GREY = "#777777"
 
 
-def made_now() -> str:
-    """Return date and version for the head of a report."""
-    now = datetime.datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z")
-    return f"made {now} with cycloid-fmu {__version__}"
-
-
-_HEAD = """<!DOCTYPE html>
-<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{{ title }}</title>
-<style>
-body { font: 15px/1.45 system-ui, "Segoe UI", "DejaVu Sans", sans-serif; color: #222; max-width: 960px;
-  margin: 1.5em auto; padding: 0 1em; }
-h1 { font-size: 1.5em; margin: 0; } h2 { font-size: 1.15em; margin: 1.6em 0 .3em; }
-p.facts, p.caption { color: #555; margin: .2em 0 .6em; } p.caption { font-size: .9em; }
-table { border-collapse: collapse; width: 100%; } th { text-align: left; font-weight: 600; }
-th, td { padding: .25em .6em .25em 0; border-bottom: 1px solid #ddd; vertical-align: top; }
-td.number { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
-td.wrapped { white-space: normal; }
-tr.part td { color: #555; font-size: .92em; border-bottom-style: dotted; }
-tr.part td:first-child { padding-left: 1.2em; }
-td.definition { font-size: .85em; color: #555; } code { font-size: .8em; word-break: break-all; color: #777; }
-.panel { height: 380px; } section { break-inside: avoid; } li { margin: .2em 0; }
-@media (max-width: 700px) { table { display: block; overflow-x: auto; } td.definition { min-width: 16em; }
-  code { word-break: normal; } }
-@media print { body { margin: 0; max-width: none; font-size: 11px; } .panel { height: 300px; }
-  .modebar { display: none; } }
-</style></head><body>
-<h1>{{ title }}</h1><p class="facts">{{ facts }}</p>
-"""
 _PANELS = """{% for p in panels %}<section><h2>{{ p.title }}</h2><div class="panel" id="panel-{{ loop.index0 }}"
 {% if p.y_names|length > 16 %} style="height: {{ 110 + 17 * p.y_names|length }}px"{% endif %}></div>
 <p class="caption">{{ p.caption }}</p></section>
@@ -74,7 +45,7 @@ def html_page(title: str, facts: str, above: str, panels: Sequence[Panel], below
 
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
     data = json.dumps([_named(_plotly(p)) for p in panels])
-    return environment.from_string(_HEAD + above + _PANELS + below + _TAIL).render(
+    return environment.from_string(HTML_HEAD + above + _PANELS + below + _TAIL).render(
         title=title, facts=facts, panels=panels, plotly=Markup(script()), data=Markup(data), **values
     )
 

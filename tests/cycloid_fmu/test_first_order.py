@@ -24,7 +24,7 @@ def ideal(phase):
 def gaps(surface):
     drive = rigid_problem(DriveValue(make_pair(), surface))
     rows = contact.contact_rows(drive)
-    contact.place(drive, 0.3, 0.0, rows, True, np.inf, np.inf)
+    contact.place_contacts(drive, 0.3, 0.0, rows, True, np.inf, np.inf)
     return rows["gap"][::2]
 
 

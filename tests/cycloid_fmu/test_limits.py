@@ -180,6 +180,9 @@ def test_life_over_a_duty_is_iso_281_s_mean_load():
 
 
 def test_a_duty_that_never_turns_or_a_bearing_without_capacity_has_no_life():
+    balls = [[BearingLoad("arm", f, f, 1e6 * (1e4 / f) ** 3, 3.0)] for f in (1e3, 2e3)]
+    (rolling,) = lives_over_duty(balls, [10.0, 10.0], [0.5, 0.5])
+    assert rolling.equivalent == pytest.approx(((1e9 + 8e9) / 2.0) ** (1.0 / 3.0))
     (still,) = lives_over_duty([[BearingLoad("arm", 1e3, 1e3, 1e9)]], [0.0], [1.0])
     assert math.isinf(still.life)
     (unknown,) = lives_over_duty([[BearingLoad("main", 1e3, 1e3, math.nan)]], [10.0], [1.0])

@@ -109,7 +109,7 @@ def test_parts_are_apart_by_the_wall_of_the_process(sized):
     at = supports.circle_radius * np.exp(2j * np.pi * np.arange(supports.count) / supports.count)
     hole = supports.output_roller.radius + pair.eccentricity
     assert np.abs(at[1] - at[0]) - 2.0 * hole >= wall - 1e-9
-    assert supports.circle_radius - hole - sized.bearing_seat >= wall - 1e-4
+    assert supports.circle_radius - hole - sized.bodies.disc.bore_radius >= wall - 1e-4
     assert np.linalg.norm(flank, axis=1).min() - supports.circle_radius - hole >= wall - 1e-4
     outside = 2.0 * (pair.pin_circle_radius + pair.pin_radius + wall)
     assert sized.wish.outer_diameter - 1e-3 < outside <= sized.wish.outer_diameter + 1e-9
@@ -120,24 +120,60 @@ def test_mass_of_a_disc_is_that_of_points_inside_it(sized):
     flank = np.stack(flank_points(pair, np.linspace(0.0, 2.0 * np.pi, 2001)), axis=1)
     reach = np.abs(flank).max()
     points = np.random.default_rng(5).uniform(-reach, reach, (100_000, 2))
-    inside = Polygon(flank).contains_points(points) & (np.linalg.norm(points, axis=1) > sized.bearing_seat)
+    inside = Polygon(flank).contains_points(points)
+    inside &= np.linalg.norm(points, axis=1) > sized.bodies.disc.bore_radius
     for angle in 2.0 * np.pi * np.arange(supports.count) / supports.count:
         centre = supports.circle_radius * np.array([np.cos(angle), np.sin(angle)])
-        inside &= np.linalg.norm(points - centre, axis=1) > supports.output_roller.radius + pair.eccentricity
+        inside &= np.linalg.norm(points - centre, axis=1) > sized.bodies.disc.roller_hole_radius
     weight = np.mean(MATERIALS[sized.wish.material].density) * pair.face_width * 4.0 * reach**2 / len(points)
-    mass, inertia = disc_mass(sized)
+    mass, inertia = disc_mass(pair, sized.bodies)
     assert mass == pytest.approx(weight * inside.sum(), rel=0.01)
     assert inertia == pytest.approx(weight * (points[inside] ** 2).sum(), rel=0.01)
 
 
 def test_every_figure_with_a_range_has_it_around_the_drawn_value(sized):
-    rows = {row.name: row.values for row in figures_of(sized)}
+    tolerances = parse_tolerances(sized.tolerances, "sized")
+    figures, stresses = figures_of(sized.pair, tolerances, sized.bodies)
+    rows = {row.name: row.values for row in figures}
     for name in ("contact pressure", "mass of discs and pins", "inertia of the discs at the input"):
         drawn, low, high = rows[name]
         assert low <= drawn <= high
     drawn, with_little_friction, with_much = rows["efficiency"]
     assert 0.0 < with_much < drawn < with_little_friction <= 1.0
     assert rows["backlash"][1] < rows["backlash"][2]
+    strong = {(one.part, one.kind): one for one in stresses}
+    assert strong["output pin", "fatigue"].safety > 1.5  # sized for a beam on two supports; it is clamped
+    if sized.wish.material == "printed PLA":
+        assert "fatigue strength" in strong["disc", "fatigue"].reason
+
+
+def test_the_commented_bodies_are_those_of_the_wish_with_bodies(sized):
+    lines = sized.text.splitlines()
+    first = next(k for k, line in enumerate(lines) if line.startswith("# [bodies]"))
+    block = "\n".join(line.removeprefix("# ") for line in lines[first:])
+    elastic = parse_pair(sized.text.split("# Elastic bodies")[0] + block + "\n", "with bodies")
+    assert elastic.bodies == sized.bodies
+    disc, supports = sized.bodies.disc, sized.pair.supports
+    assert disc.roller_hole_radius == pytest.approx(
+        supports.output_roller.radius + sized.pair.eccentricity + 0.5 * supports.output_roller.clearance
+    )
+
+
+def test_a_ring_without_pins_is_of_the_discs_material_and_has_no_friction_from_the_table():
+    drive = size(Wish(**{**PRINTED, "ring": "conjugate", "torque": "3 N*m"}))
+    assert drive.pair.material.pin == drive.pair.material.gear
+    assert drive.pair.losses is None
+    assert any("no friction of printed PLA on printed PLA" in note for note in drive.notes)
+    softer = size(Wish(**{**PRINTED, "torque": "3 N*m"}))
+    assert drive.pair.material.pin.compliance > 20.0 * softer.pair.material.pin.compliance
+
+
+def test_discs_keep_within_the_stated_length():
+    drive = size(Wish(**{**CNC, "torque": "5 N*m", "length": "16 mm"}))
+    pair = drive.pair
+    assert pair.discs * pair.face_width + (pair.discs + 1) * 0.5e-3 <= 16e-3 + 1e-9
+    with pytest.raises(edge.InputError, match="do not fit"):
+        size(Wish(**{**CNC, "length": "3 mm"}))
 
 
 def test_the_page_has_the_tables_of_the_code():
@@ -166,6 +202,13 @@ def test_an_impossible_wish_names_what_is_possible():
     assert 60.0 < diameter < 300.0
     assert 0.0 < torque < 80.0
     assert size(wish.replace(torque=0.9 * torque)).pair.rated_torque == pytest.approx(0.9 * torque)
+
+
+def test_a_torque_that_no_contacts_balance_names_what_is_possible_too():
+    # In polymer of 1.6 GPa the search ends where pins leave the teeth, before any pressure is compared.
+    changes = {"outer_diameter": "40 mm", "torque": "100 N*m", "material": "POM", "process": "SLS"}
+    with pytest.raises(edge.InputError, match=r"There is no such drive: .*would be possible"):
+        size(Wish(**{**CNC, **changes}))
 
 
 @pytest.mark.parametrize(

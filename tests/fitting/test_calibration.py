@@ -37,7 +37,7 @@ def test_the_band_holds_95_of_100_studies():
 
 @pytest.mark.slow(60)
 def test_the_truth_ranks_uniformly(record_property):
-    """A tenth of CYCLOID_SEEDS drives, at least ten; docs/identify.md has all of them."""
+    """A tenth of CYCLOID_SEEDS drives, at least ten; docs/identify_coverage.md has all of them."""
     every = [ranks(seed) for seed in range(max(10, study_size("CYCLOID_SEEDS", 5, 200) // 10))]
     stated = [one for one in every if one["ranks"]]
     assert len(stated) >= 0.9 * len(every)

@@ -251,7 +251,7 @@ def test_friction_from_a_single_load_is_known_less_and_the_bench_has_its_own_sha
 
 @pytest.mark.slow(100)
 def test_intervals_of_errors_hold_for_drives_with_friction():
-    """Of 20 such drives 376 of 400 intervals held, 94 % (docs/identify.md)."""
+    """Of 20 such drives 376 of 400 intervals held, 94 % (docs/identify_coverage.md)."""
     far = []
     for seed in (1, 4, 8):
         _, values, _, runs = campaign(seed)

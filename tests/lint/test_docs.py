@@ -61,7 +61,9 @@ np.savetxt('ramp.csv', np.column_stack([t, np.cumsum(w) * 0.01 / (2.0 * np.pi), 
 header='TIME [s],POSITION [rev],TORQUE [Nm]', comments='')
 """.strip().replace("\n", " ")
 # Pages that go on in the folder of another.
-CONTINUES = dict.fromkeys(("controller", "compensation", "fmu", "identify", "recalibrate"), "test_bench_engineer")
+CONTINUES = dict.fromkeys(
+    ("controller", "compensation", "fmu", "identify", "identify_unknowns", "recalibrate"), "test_bench_engineer"
+)
 # Given to a page: your files, and your bench.
 GIVEN = {
     "bench": f"""

@@ -1,0 +1,234 @@
+"""The report of a drive as drawn: drawing, figures, stresses, verdicts, and what is assumed or not judged."""
+
+from __future__ import annotations
+
+import math
+import os
+import textwrap
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from cycloid_fmu import __version__, edge
+from cycloid_fmu.draw.pages import HEADING, HTML_HEAD, MONOSPACED, made_now, text_pages
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.studies import limits
+from cycloid_fmu.studies.sized_figures import FIGURES_HEAD, NOT_COMPUTED, Figure
+from cycloid_fmu.studies.strength import HEAD as STRESS_HEAD
+from cycloid_fmu.studies.strength import Stress
+
+if TYPE_CHECKING:
+    from cycloid_fmu.drive import Drive
+    from cycloid_fmu.motion import Motion
+    from cycloid_fmu.studies.verdicts import Judged
+
+FORMATS = (".html", ".pdf")
+_CHARACTERS = 110  # of a line of text on a page
+_MOST_COLUMN = 34  # characters of a table's column but for the last
+
+
+class Table(NamedTuple):
+    """A table of a report: its title, the names of its columns, and its rows; the last column is text."""
+
+    title: str
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+
+class DesignReport(NamedTuple):
+    """What a report of a drive says.
+
+    Attributes
+    ----------
+    title, facts
+        Its heading, and one line below.
+    motion
+        The drive at its rated torque, for the drawing.
+    tables
+        Figures, stresses, verdicts, materials.
+    lists
+        {heading: sentences}: what is assumed, and what is not judged.
+    text
+        The pair file, with its comments.
+    """
+
+    title: str
+    facts: str
+    motion: Motion
+    tables: Sequence[Table]
+    lists: Mapping[str, Sequence[str]]
+    text: str
+
+
+def comments_of(text: str) -> list[str]:
+    """Return the comments at the head of a TOML text, before its first key, a sentence each."""
+    found = []
+    for line in text.splitlines():
+        if line.strip() and not line.startswith("#"):
+            break
+        if said := line.strip("# "):
+            found.append(said)
+    return found
+
+
+def facts_of(pair: Pair) -> str:
+    """Return the line below a report's heading."""
+    discs = f"{pair.discs} disc{'s' * (pair.discs > 1)}"
+    torque = f"rated torque {pair.rated_load():g} N·m"
+    outside = f"pin circle {2e3 * pair.pin_circle_radius:g} mm, pins {2e3 * pair.pin_radius:g} mm"
+    return f"ratio {pair.ratio:g}, {discs} {pair.face_width * 1e3:g} mm wide, {outside}, {torque}; {made_now()}"
+
+
+def report_of(
+    drive: Drive,
+    source: str,
+    text: str,
+    figures: Sequence[Figure],
+    stresses: Sequence[Stress],
+    judged: Judged | None = None,
+) -> DesignReport:
+    """Return the report of a drive from what was computed of it.
+
+    Parameters
+    ----------
+    drive
+        The drive; its pair must state the rated torque.
+    source, text
+        Name and text of its pair file; comments at its head are what is assumed.
+    figures, stresses
+        Of `sized_figures.figures_of`.
+    judged
+        Verdicts on limits, if there are any.
+    """
+    pair = drive.pair
+    tables = [
+        Table("Figures at rated torque", FIGURES_HEAD, [each.row() for each in figures]),
+        Table("Nominal stresses", STRESS_HEAD, [each.row() for each in stresses]),
+    ]
+    if judged is not None:
+        tables.append(Table("Limits", limits.HEAD, [limits.row_of(each) for each in judged.verdicts]))
+    tables.append(Table("Materials", MATERIALS_HEAD, material_rows(pair)))
+    missing = [f"{each.part}, {each.kind}: {each.reason}." for each in stresses if each.reason]
+    missing += [f"{each.name}: {each.basis}." for each in figures if math.isnan(each.values[0])]
+    if pair.losses is None or pair.supports is None:
+        missing.append("Efficiency, starting and back-driving torque: state [supports] and [losses].")
+    if judged is not None and judged.not_judged:
+        missing.append(limits.not_judged_line(judged.not_judged))
+    assumed = comments_of(text)
+    if pair.bodies is None and not any("rigid" in line for line in assumed):
+        assumed.append("Bodies are rigid, as the file states no [bodies]; the real drive is softer.")
+    motion = drive.motion([pair.rated_load(source)], np.array([0.0]))
+    lists = {"Assumed": assumed, "Not judged": [*missing, NOT_COMPUTED]}
+    return DesignReport("Design report", f"{source}: {facts_of(pair)}", motion, tables, lists, text)
+
+
+MATERIALS_HEAD = ("part", "material", "E, GPa", "yield, MPa", "fatigue, MPa", "source")
+
+
+def material_rows(pair: Pair) -> list[list[str]]:
+    """Return the materials of a drive as table rows, columns `MATERIALS_HEAD`."""
+    rows = []
+    for part in type(pair.material).model_fields:
+        stated = getattr(pair.material, part)
+        if stated is None:
+            continue
+        value = stated.value
+        known = ["", "", "no name: strength is not known"]
+        if value is not None:
+            fatigue = value.bending_fatigue
+            known = [
+                f"{value.yield_strength[0] * 1e-6:.0f} … {value.yield_strength[1] * 1e-6:.0f}",
+                "" if fatigue is None else f"{fatigue[0] * 1e-6:.0f} … {fatigue[1] * 1e-6:.0f}",
+                value.source,
+            ]
+        rows.append([part.replace("_", " "), stated.name or "", f"{stated.youngs_modulus * 1e-9:.4g}", *known])
+    return rows
+
+
+def write_design_report(report: DesignReport, path: str | os.PathLike[str]) -> None:
+    """Write a report as one file, HTML or PDF by the ending of the name; never a partial file.
+
+    Raises
+    ------
+    edge.InputError
+        If the name does not end in one of `FORMATS`.
+    """
+    target = edge.output_path(path, "path", FORMATS)
+    with edge.written_whole(target) as temporary:
+        if target.suffix.lower() == ".html":
+            temporary.write_text(_html(report), encoding="utf-8")
+        else:
+            _write_pdf(report, temporary)
+
+
+_BODY = """<section class="drawing">{{ drawing }}</section><p class="caption">{{ caption }}</p>
+{% for table in tables %}<h2>{{ table.title }}</h2><table><thead><tr>
+{% for h in table.head %}<th>{{ h }}</th>{% endfor %}</tr></thead><tbody>
+{% for row in table.rows %}<tr>{% for cell in row %}<td{% if loop.last %} class="definition"{% endif %}>{{ cell }}</td>
+{% endfor %}</tr>{% endfor %}</tbody></table>
+{% endfor %}{% for title, sentences in lists.items() %}<h2>{{ title }}</h2><ul>
+{% for sentence in sentences %}<li>{{ sentence }}</li>{% endfor %}</ul>
+{% endfor %}<h2>The file</h2><pre style="white-space: pre-wrap; font-size: .8em">{{ text }}</pre></body></html>
+"""
+_DRAWING = "<style>section.drawing svg { display: block; max-width: 34em; margin: auto; }</style>"
+
+
+def _html(report: DesignReport) -> str:
+    import jinja2
+    from markupsafe import Markup
+
+    from cycloid_fmu.draw.drive_picture import caption_of
+    from cycloid_fmu.draw.drive_svg import drive_svg
+
+    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
+    return environment.from_string(HTML_HEAD + _BODY).render(
+        **report._asdict(), drawing=Markup(_DRAWING + drive_svg(report.motion)), caption=caption_of(report.motion)
+    )
+
+
+def _write_pdf(report: DesignReport, path: Path) -> None:
+    from matplotlib.backends.backend_pdf import PdfPages
+
+    from cycloid_fmu.draw.drive_picture import plot_motion
+
+    with PdfPages(path, metadata={"Title": report.title, "Creator": f"cycloid-fmu {__version__}"}) as pdf:
+        pdf.savefig(plot_motion(report.motion))
+        for page in text_pages(_lines(report)):
+            pdf.savefig(page)
+
+
+def _lines(report: DesignReport) -> list[tuple[str, dict[str, Any]]]:
+    """Return the text of a report, line by line, with the properties of each."""
+    grey = {"color": "#555555"}
+    lines: list[tuple[str, dict[str, Any]]] = [(report.title, {"fontsize": 16, "weight": "bold"})]
+    lines += [(line, grey) for line in textwrap.wrap(report.facts, _CHARACTERS)]
+    for table in report.tables:
+        lines += [("", {}), (table.title, HEADING)]
+        cells = [table.head, *table.rows]
+        widths = [min(_MOST_COLUMN, max(len(row[k]) for row in cells)) for k in range(len(table.head) - 1)]
+        for number, row in enumerate(cells):
+            columns = "  ".join(
+                textwrap.shorten(cell or " ", width, placeholder="…").ljust(width)
+                if len(cell) > width
+                else cell.ljust(width)
+                for cell, width in zip(row, widths, strict=False)
+            )
+            style = {**MONOSPACED, "weight": "bold" if number == 0 else "normal"}
+            room = _CHARACTERS - sum(widths) - 2 * len(widths)
+            if number == 0 or len(row[-1]) <= room:
+                lines.append((f"{columns}  {row[-1]}", style))
+                continue
+            lines.append((columns, style))
+            lines += [(f"    {line}", {**grey, "fontsize": 7}) for line in textwrap.wrap(row[-1], 125)]
+    for title, sentences in report.lists.items():
+        lines += [("", {}), (title, HEADING)]
+        for sentence in sentences:
+            wrapped = textwrap.wrap(sentence, _CHARACTERS, initial_indent="- ", subsequent_indent="  ")
+            lines += [(line, {}) for line in wrapped]
+    lines += [("", {}), ("The file", HEADING)]
+    small = {**MONOSPACED, "fontsize": 6.5}
+    for line in report.text.splitlines():
+        lines += [(part, small) for part in textwrap.wrap(line, 140, subsequent_indent="    ") or [""]]
+    return lines

@@ -1,0 +1,59 @@
+"""The design report: what it says is what was computed, in both formats, and what is missing has its reason."""
+
+import re
+
+import numpy as np
+import pytest
+from common import make_pair
+
+import cycloid_fmu as cy
+from cycloid_fmu import edge
+from cycloid_fmu.analysis import solve
+from cycloid_fmu.draw.design_report import comments_of, report_of, write_design_report
+from cycloid_fmu.drive_value import DriveValue
+from cycloid_fmu.studies.sized_figures import figures_of
+from cycloid_fmu.surfaces.surface import surface_of_pair
+
+PAIR = make_pair(rated_torque="181 N*m").replace(
+    material={"gear": {"name": "7075-T6"}, "pin": {"name": "bearing steel"}}
+)
+
+
+@pytest.fixture(scope="module")
+def report():
+    text = "# Assumed <here>.\n" + PAIR.text
+    return report_of(cy.Drive(PAIR), "drive.toml", text, *figures_of(PAIR))
+
+
+def test_comments_at_the_head_are_what_is_assumed():
+    assert comments_of("# One.\n#\n# Two.\nformat = 1\n# three\n") == ["One.", "Two."]
+
+
+def test_the_page_has_the_figures_and_why_others_are_missing(report, tmp_path):
+    write_design_report(report, tmp_path / "report.html")
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    turn = np.linspace(0.0, 2.0 * np.pi, 90, endpoint=False)
+    found = solve(DriveValue(PAIR, surface_of_pair(PAIR)), [181.0], turn, with_play=False)
+    assert f"{found.max_contact_pressure.max() * 1e-6:.3g}" in page
+    assert f"{found.torsional_stiffness.mean():.3g}" in page
+    assert "Assumed &lt;here&gt;." in page
+    assert "without [supports] the load of output pins is not known" in page
+    assert "not computed: state [bodies.disc]" in page
+    assert len(re.findall(r'class="pin"', page)) == PAIR.pins
+
+
+def test_the_pdf_is_one_and_another_ending_is_refused(report, tmp_path):
+    write_design_report(report, tmp_path / "report.pdf")
+    assert (tmp_path / "report.pdf").read_bytes().startswith(b"%PDF")
+    with pytest.raises(edge.InputError, match=r"\.html"):
+        write_design_report(report, tmp_path / "report.docx")
+
+
+def test_the_command_judges_limits_and_leaves_with_their_code(command, tmp_path):
+    (tmp_path / "pair.toml").write_text(PAIR.text)
+    done = command("cycloid-fmu", "report", "pair.toml", "-o", "report.html")
+    assert done.returncode == 0, done.stderr
+    (tmp_path / "asked.toml").write_text('format = "cycloid-requirements/1"\n[limits]\npin_safety = 1e9\n')
+    done = command("cycloid-fmu", "report", "pair.toml", "--limits", "asked.toml", "-o", "report.html")
+    assert done.returncode == 4
+    assert "not met" in (tmp_path / "report.html").read_text(encoding="utf-8")
