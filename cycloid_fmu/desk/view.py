@@ -273,7 +273,7 @@ def pair_of(desk: Desk, values: Mapping[str, str]) -> Pair:
 
 
 def _checked(tables: Mapping[str, Any], source: str) -> Pair:
-    """Return the pair of tables as that of the file `source` is; raise an `edge.InputError` that names what is wrong."""
+    """Return the pair of the file `source` with these tables; raise an `edge.InputError` that names what is wrong."""
     pair = pair_of_tables(tables, source, Path(source).parent)
     if pair.bodies is not None:
         check_bodies(pair, pair.bodies, source)

@@ -285,15 +285,7 @@ def _write_by_force(assembly: Assembly, joint: np.record, f: Acting, work: Work,
 
 
 @compiled
-def _add_joints(
-    problem: Problem,
-    assembly: Assembly,
-    crank_angle: float,
-    work: Work,
-    rubbing: Rubbing,
-    slope: Slope,
-    loss: Array,
-) -> float:
+def _add_joints(problem: Problem, assembly: Assembly, work: Work, rubbing: Rubbing, slope: Slope, loss: Array) -> float:
     """Add the friction of joints to the balance, and their losses; return the crank's torque, and write its slope."""
     torque = torque_of_bodies(problem, assembly, assembly.elastic, work, work.ports)
     for number in range(assembly.joints.size):
@@ -319,18 +311,7 @@ def _add_joints(
         elastic = has_ports(assembly.elastic, number)
         if elastic:
             _write_by_force(assembly, joint, f, work, slope, unknowns)
-            rub_joint(
-                assembly,
-                assembly.elastic,
-                work.ports,
-                crank_angle,
-                number,
-                d,
-                work,
-                slope.by_force,
-                -by_crank * f.slope,
-                slope.crank_torque,
-            )
+            rub_joint(assembly, assembly.elastic, number, d, work, slope, -by_crank * f.slope)
         if elastic and joint.reach == 0.0:
             continue
         for j in range(unknowns):
@@ -374,7 +355,7 @@ def assemble_rubbing(
         slope.crank_torque[i] = 0.0
     clear_rubbing(assembly.elastic, work.ports)
     _add_flanks(problem, assembly, crank_angle, contacts, work, rubbing, loss)
-    torque = _add_joints(problem, assembly, crank_angle, work, rubbing, slope, loss)
+    torque = _add_joints(problem, assembly, work, rubbing, slope, loss)
     add_rubbing(assembly.elastic, work.ports, work.jacobian, slope.crank_torque)
     work.residual[0] -= rubbing.direction * rubbing.drag
     loss[DRAG_OUTPUT] = rubbing.drag / problem.teeth

@@ -88,7 +88,7 @@ def _turn() -> Array:
 
 def _of_tolerances(drive: Sizing) -> list[Figure]:
     """Backlash and transmission error, as drawn and of sampled drives."""
-    pair = drive.pair.replace(supports=None, losses=None)
+    pair = drive.pair.replace(supports=None, bodies=None, losses=None)
     tolerances = parse_tolerances(drive.tolerances, "tolerances of the process")
     torque = (pair.rated_load(),)
     study = tolerance.Study(pair, tolerances, samples=_DRIVES, seed=1, torque=torque, angles=_ANGLES)

@@ -735,16 +735,7 @@ def rub_pin(elastic: Elastic | None, ports: Any, row: int, at: int, by_force: Ve
 
 @compiled
 def rub_joint(
-    assembly: Assembly,
-    elastic: Elastic | None,
-    ports: Any,
-    crank_angle: float,
-    number: int,
-    d: Displacement,
-    work: Work,
-    by_force: Array,
-    by_crank: float,
-    by_place: Array,
+    assembly: Assembly, elastic: Elastic | None, number: int, d: Displacement, work: Work, slope: Any, by_crank: float
 ) -> None:
     """Set by how much friction changes the balance, and the crank's torque, with the force of a joint's ports.
 
@@ -752,29 +743,29 @@ def rub_joint(
     ----------
     d
         Of the joint, of `pressing`.
-    by_force, by_crank
-        Change of the balance with each N of the joint's force, shape (unknowns,), and of the crank's torque by friction.
-    by_place
-        Derivatives of the crank's torque by the unknowns, which those by the turning axes of a bearing are added to.
+    slope
+        `losses.rubbing.Slope` with `by_force` of the joint. To `crank_torque` is added that a bearing's axes turn.
+    by_crank
+        Change of the crank's torque with each N of the joint's force, by its friction.
     """
     if elastic is None:
         return
-    joint = assembly.joints[number]
+    joint, ports = assembly.joints[number], work.ports
     rate = assembly.bodies[int(joint.outer)].rate
-    c, s = math.cos(crank_angle * rate), math.sin(crank_angle * rate)
+    c, s = math.cos(ports.moving.angle[0] * rate), math.sin(ports.moving.angle[0] * rate)
     own = displacement(assembly, joint, work)
     ex, ey = eccentric(joint, work)
     if joint.reach == 0.0:
         ex, ey = ex + rate * own.length * own.normal_x, ey + rate * own.length * own.normal_y
         fx, fy = ports.of_joints[number, 0], ports.of_joints[number, 1]
         for i in range(derivatives(assembly, joint, own, work)):
-            by_place[work.at[i]] -= rate * (work.by[0, i] * fy - work.by[1, i] * fx)
+            slope.crank_torque[work.at[i]] -= rate * (work.by[0, i] * fy - work.by[1, i] * fx)
     for i in range(elastic.first[number], elastic.first[number] + elastic.ports_of_joint[number]):
         ax, ay = port_direction(joint, ports.ports[i], d, c, s)
         along = ax * d.normal_x + ay * d.normal_y
         ports.by_crank[i] += along * by_crank - (ex * ay - ey * ax)
-        for k in range(by_force.size):
-            ports.rubbing[i, k] = along * by_force[k]
+        for k in range(slope.by_force.size):
+            ports.rubbing[i, k] = along * slope.by_force[k]
 
 
 @compiled

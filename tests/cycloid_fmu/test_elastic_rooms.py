@@ -4,6 +4,10 @@ import numpy as np
 import pytest
 from test_elastic_drive import ANGLES, ELASTIC, PAIR, SOFT_CRANKS, solved
 
+import cycloid_fmu as cy
+from cycloid_fmu.analysis import solve
+from cycloid_fmu.bodies.matrices import matrices_of
+from cycloid_fmu.desk.view import look, open_desk
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.losses import PARTS
 from cycloid_fmu.losses.heat import Running, at_oil_temperature, heat
@@ -120,3 +124,52 @@ def test_a_warm_drive_gives_off_the_heat_of_its_elastic_bodies():
     assert (warm.oil - 293.15) / 0.9 == pytest.approx(power, rel=1e-4)
     rigid = heat(DriveValue.as_stated(pair.replace(bodies=None)), [Running(20.0, 30.0)], angles)
     assert abs(warm.power - rigid.power) > 1e-3 * rigid.power
+
+
+# --- files ---
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with a pair file and a reducer file that state the matrix of the cranks by its name in this folder."""
+    made = tmp_path_factory.mktemp("drive")
+    compliance = matrices_of(SOFT_CRANKS, SOFT_CRANKS.bodies).crank
+    ports = ["plane:0:0:0:1:0", "plane:1:0:0:1:0"]
+    rows = [",".join([port, *map(repr, line.tolist())]) for port, line in zip(ports, compliance, strict=True)]
+    (made / "crank.csv").write_text("\n".join([",".join(["held", *ports]), *rows]) + "\n")
+    by_file = SOFT_CRANKS.bodies.replace(crank={"matrix": "crank.csv"})
+    text = SOFT_CRANKS.replace(bodies=by_file, losses=FIXED_PINS).text
+    (made / "pair.toml").write_text(text)
+    involute = '[involute]\nsun_teeth = 12\nplanet_teeth = 24\nmodule = "1.1111111111 mm"\nface_width = "6 mm"\n'
+    reducer = text.replace("cycloid-pair/1", "cycloid-reducer/1") + involute
+    (made / "reducer.toml").write_text(reducer)
+    return made
+
+
+@pytest.mark.parametrize("name", ["pair.toml", "reducer.toml"])
+def test_file_names_are_relative_to_the_file_that_states_them(folder, name, monkeypatch, tmp_path):
+    """Read from another folder, the matrix gives the drive whose crank it was computed of."""
+    monkeypatch.chdir(tmp_path)
+    drive = cy.read_drive(folder / name)
+    found = solve(drive.stage, [20.0], ANGLES, with_play=False)
+    assert found.transmission_error == pytest.approx(solved(SOFT_CRANKS).transmission_error, rel=1e-9)
+
+
+def test_a_desk_reads_file_names_beside_its_pair(folder, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    desk = open_desk(folder / "pair.toml")
+    assert not [key for key in desk.values if key in ("pair.bodies", "pair.losses", "pair.thermal")]
+    assert {"[bodies]", "[losses]"} <= set(desk.kept)
+    view = look(desk, {**desk.values, "torque": "20 N*m"})
+    assert not view.problems
+    expected = cy.read_drive(folder / "pair.toml").analyze(20.0, crank_angle=view.crank_angle)
+    assert view.transmission_error == pytest.approx(expected.transmission_error.values[0], rel=1e-9)
+
+
+def test_a_first_stage_passes_the_torque_of_elastic_bodies(folder):
+    """Mean input torque times the ratio is the output's torque but for the losses (docs/theory/losses.md)."""
+    drive = cy.read_drive(folder / "reducer.toml")
+    angles = np.arange(27) / 27 * 2.0 * np.pi * drive.pair.gear_teeth
+    found = rub(drive, np.array([20.0]), angles, 1, SPEED)
+    heat_ = found.loss.sum(axis=-1).mean()
+    assert found.input_work[0] == pytest.approx(20.0 / drive.pair.gear_teeth + heat_, rel=2e-3)
