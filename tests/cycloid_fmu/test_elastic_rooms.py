@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from common import EXAMPLES
 from test_elastic_drive import ANGLES, ELASTIC, PAIR, SOFT_CRANKS, solved
 
 import cycloid_fmu as cy
+from cycloid_fmu import edge
 from cycloid_fmu.analysis import solve
 from cycloid_fmu.bodies.matrices import matrices_of
 from cycloid_fmu.desk.view import look, open_desk
@@ -13,6 +15,7 @@ from cycloid_fmu.geometry.losses import PARTS
 from cycloid_fmu.losses.heat import Running, at_oil_temperature, heat
 from cycloid_fmu.losses.sensitivity import motion_sensitivity, sensitivity
 from cycloid_fmu.losses.solver import solve as rub
+from cycloid_fmu.supports.figures import remaining
 from cycloid_fmu.surfaces.structured import displacement_layout
 
 SPEED = 10.0
@@ -173,3 +176,24 @@ def test_a_first_stage_passes_the_torque_of_elastic_bodies(folder):
     found = rub(drive, np.array([20.0]), angles, 1, SPEED)
     heat_ = found.loss.sum(axis=-1).mean()
     assert found.input_work[0] == pytest.approx(20.0 / drive.pair.gear_teeth + heat_, rel=2e-3)
+
+
+# --- held against drives ---
+
+
+@pytest.mark.slow(60)
+def test_stiffness_of_the_example_is_the_theory_page_s():
+    """Every number of the page's table, with the remainder to the catalogue's stiffness."""
+    page = (EXAMPLES.parent / "docs" / "theory" / "bodies.md").read_text(encoding="utf-8")
+    lines = page.split("| with one part more")[1].splitlines()
+    rows = [[cell.strip() for cell in line.split("|")] for line in lines[2:] if line.startswith("|")]
+    drive, arcmin = cy.read_drive(EXAMPLES / "rv-20e-bodies.toml"), edge.unit_scale("N*m/arcmin", "N*m/rad")
+    shares, catalogue = drive.compliance(), drive.pair.supports.catalogue_stiffness
+    each = [one.compliance for one in shares]
+    stiffness = [f"{1.0 / soft / arcmin:.0f}" for soft in np.cumsum(each)]
+    each += [remaining(drive.pair.supports, shares), 1.0 / catalogue]
+    expected = [f"{soft * 1e6:.3f}" for soft in each]
+    assert [row[2] for row in rows[: len(each)]] == [*stiffness, "–", "49"]
+    assert [row[3] for row in rows[: len(each)]] == expected
+    assert [row[4] for row in rows[: len(each) - 1]] == [f"{s * catalogue:.1%}".replace("%", " %") for s in each[:-1]]
+    assert 0.45 < 1.0 - each[-2] * catalogue < 0.5  # about half, and without bodies 28 %
