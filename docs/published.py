@@ -1,14 +1,15 @@
-"""Losses that were measured and published, against predictions: `python docs/published.py` writes the table.
+"""Losses and a stiffness that were measured and published, against predictions: `python docs/published.py` writes both.
 
 What is published is in `MEASURED`, each with its source. Predictions take both ends of every range in
 `cycloid_fmu.geometry.friction_values.VALUES` and of the bearing factors below, and of sizes that are not published;
-nothing is fitted. The table stands in `docs/losses_published.md`, between two marks.
+nothing is fitted. The tables stand in `docs/losses_published.md` and in
+`docs/theory/bodies.md`, between two marks.
 """
 
 import itertools
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,10 +20,13 @@ import cycloid_fmu as cy
 from cycloid_fmu.geometry.friction_values import VALUES
 from cycloid_fmu.losses.figures import breakaway
 from cycloid_fmu.losses.solver import solve
+from cycloid_fmu.supports.transmission import PARTS
 
 PAGE = Path(__file__).parent / "losses_published.md"
 ROOT = PAGE.parents[1]
+BODIES = ROOT / "docs" / "theory" / "bodies.md"
 BEGIN, END = "<!-- table: python docs/published.py -->", "<!-- end of the table -->"
+STIFFNESS = "<!-- table of stiffness: python docs/published.py -->"
 ROLLING = {"low": 0.0003, "high": 0.002}
 """Load factors f_1 of rolling bearings: cylindrical with cage to needles (docs/theory/losses.md)."""
 NEEDLES = {"low": 0.003, "high": 0.005}
@@ -110,6 +114,73 @@ def printed(end: str, turning: bool) -> cy.Drive:
             losses=losses,
         )
     )
+
+
+UNKNOWN = {
+    "output pins": ("printed, 6 mm, cantilevers", "steel, 6 mm, clamped in two plates"),
+    "shaft": ("12 mm", "17 mm"),
+    "plastic": ("1.5 GPa", "3.5 GPa"),
+    "bearings": ("10 N/µm", "50 N/µm"),
+    "output rollers": ("8 N/µm", "40 N/µm"),
+    "ring's pins": ("printed", "steel"),
+}
+"""What is not published of the printed drive and decides its stiffness: its soft end, and its stiff end."""
+
+
+def printed_bodies(stiff: Collection[str]) -> cy.Drive:
+    """The printed drive 13/14 with elastic bodies; of `UNKNOWN`, `stiff` are at their stiff ends."""
+    modulus = UNKNOWN["plastic"]["plastic" in stiff]
+    plastic = {"youngs_modulus": modulus, "poissons_ratio": 0.35}
+    steel = {"youngs_modulus": "206 GPa", "poissons_ratio": 0.3}
+    spring = {"stiffness": UNKNOWN["bearings"]["bearings" in stiff]}
+    shaft = {"from": "-18 mm", "to": "18 mm", "diameter": UNKNOWN["shaft"]["shaft" in stiff]}
+    pins = ("clamped", steel) if "output pins" in stiff else ("cantilever", plastic)
+    roller = {"stiffness": UNKNOWN["output rollers"]["output rollers" in stiff], "clearance": "50 um"}
+    supports = {"kind": "output_rollers", "count": 6, "circle_radius": "18 mm", "output_roller": roller}
+    return cy.Drive(
+        cy.Pair(
+            gear_teeth=13,
+            pin_circle_radius="34 mm",
+            pin_radius="3.5 mm",
+            eccentricity="1.5 mm",
+            face_width="25 mm",
+            rated_torque="15 N*m",
+            modification={"isometric": "80 um", "offset": "-40 um"},
+            material={"gear": plastic, "pin": steel if "ring's pins" in stiff else plastic},
+            supports={**supports, "turning_arm": spring, "crank_shaft": spring, "main": spring},
+            bodies={
+                "disc": {"bore_radius": "10 mm", "roller_hole_radius": "4.5 mm"},
+                "crank": {"bearings": ["-18 mm", "18 mm"], "sections": [shaft], **plastic},
+                "output_pin": {"ends": pins[0], "from": "-14 mm", "to": "14 mm", "diameter": "6 mm", **pins[1]},
+                "ring": {"outer_radius": "42 mm", "width": "25 mm", **plastic},
+            },
+        )
+    )
+
+
+def stiffness_of(drive: cy.Drive) -> tuple[float, dict[str, float]]:
+    """Stiffness between 7.5 and 15 N·m over a crank turn, N·m/rad, and each part's share of the compliance there."""
+    swept = drive.analyze(["7.5 N*m", "15 N*m"], angles=26)
+    low, high = swept.transmission_error.values.mean(axis=1)
+    shares = swept.compliance.values.mean(axis=(0, 1))
+    return 7.5 / (high - low), dict(zip(PARTS, shares / shares.sum(), strict=True))
+
+
+def _three(value: float) -> str:
+    """Three digits."""
+    return f"{float(f'{value:.3g}'):g}"
+
+
+def stiffness_table() -> str:
+    """The printed drive at its soft end, at its stiff end, and with one unknown at the other end."""
+    lines = ["| what is not published | from | to | soft drive with it, N·m/rad | stiff drive without it, N·m/rad |"]
+    lines.append("| --- | --- | --- | --- | --- |")
+    for name, ends in UNKNOWN.items():
+        alone = stiffness_of(printed_bodies({name}))[0]
+        without = stiffness_of(printed_bodies(set(UNKNOWN) - {name}))[0]
+        lines.append(f"| {name} | {ends[0]} | {ends[1]} | {_three(alone)} | {_three(without)} |")
+    soft, stiff = (stiffness_of(printed_bodies(every))[0] for every in ((), UNKNOWN))
+    return "\n".join([*lines, f"| none; all | – | – | {_three(soft)} | {_three(stiff)} |"])
 
 
 def rv(end: str, mean_diameter: str = "22 mm") -> cy.Drive:
@@ -235,5 +306,11 @@ def written(text: str, predictions: list[Row]) -> str:
     return re.sub(f"{BEGIN}.*?{END}", lambda _: f"{BEGIN}\n{table(predictions)}\n{END}", text, flags=re.S)
 
 
+def with_stiffness(text: str) -> str:
+    """The theory page of elastic bodies with its table."""
+    return re.sub(f"{STIFFNESS}.*?{END}", lambda _: f"{STIFFNESS}\n{stiffness_table()}\n{END}", text, flags=re.S)
+
+
 if __name__ == "__main__":
     PAGE.write_text(written(PAGE.read_text(encoding="utf-8"), rows()), encoding="utf-8")
+    BODIES.write_text(with_stiffness(BODIES.read_text(encoding="utf-8")), encoding="utf-8")

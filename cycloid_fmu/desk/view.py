@@ -8,6 +8,7 @@ import math
 import os
 import re
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
 import numpy as np
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from cycloid_fmu.analysis import notes, series_compliance, solve, statistics
+from cycloid_fmu.bodies.matrices import check_bodies
 from cycloid_fmu.contact.transmission import Transmission
 from cycloid_fmu.draw.drive_picture import CloseUp, caption_of, close_up
 from cycloid_fmu.draw.drive_svg import drive_svg, tooth_svg
@@ -41,7 +43,17 @@ from cycloid_fmu.surfaces.surface import surface_of_pair
 Array = NDArray[np.float64]
 _EACH_PITCH = 24  # crank angles of the curves in a pin pitch
 _WITHOUT_FIELD = ("contact_law",)  # for comparison with papers
-_TABLES = ("modification", "material", "supports", "temperature", "expansion", "errors")
+_TABLES = (
+    "modification",
+    "material",
+    "supports",
+    "bodies",
+    "losses",
+    "thermal",
+    "temperature",
+    "expansion",
+    "errors",
+)
 _PLACE = re.compile(r"(\[(?:pair|modification)\] )?(\w+)(?: = | is missing)")
 
 
@@ -153,8 +165,7 @@ def open_desk(path: str | os.PathLike[str], limits: str | os.PathLike[str] | Non
     (['pair.eccentricity'], 'the eccentricity below "1.6 mm".')
     """
     tables = edge.toml_table(edge.read_text(path, FORMAT), FORMAT, str(path))
-    pair = pair_of_tables(tables, str(path))
-    dimensions(pair, surface_of_pair(pair), f"{path}: errors")
+    pair = _checked(tables, str(path))
     if limits is None:
         return Desk(str(path), tables)
     asked = read_requirements(limits)
@@ -258,8 +269,15 @@ def pair_of(desk: Desk, values: Mapping[str, str]) -> Pair:
         tables[table].pop(name, None)
         if text:
             tables[table][name] = int(text) if key in _WHOLE and re.fullmatch(r"\d{1,9}", text, re.ASCII) else text
-    pair = pair_of_tables(tables, desk.source)
-    dimensions(pair, surface_of_pair(pair), f"{desk.source}: errors")
+    return _checked(tables, desk.source)
+
+
+def _checked(tables: Mapping[str, Any], source: str) -> Pair:
+    """Return the pair of the file `source` with these tables; raise an `edge.InputError` that names what is wrong."""
+    pair = pair_of_tables(tables, source, Path(source).parent)
+    if pair.bodies is not None:
+        check_bodies(pair, pair.bodies, source)
+    dimensions(pair, surface_of_pair(pair), f"{source}: errors")
     return pair
 
 
@@ -323,7 +341,7 @@ def _solved(desk: Desk, pair: Pair, torque: list[float], angle: float) -> View:
     asked = Requirements() if desk.requirements is None else desk.requirements
     loads = tuple(loads_of(asked, torque, pair))
     # That of the file: what is stated of its bodies holds for variants too.
-    series = series_compliance(DriveValue.as_stated(pair_of_tables(desk.tables, desk.source)))
+    series = series_compliance(DriveValue.as_stated(_checked(desk.tables, desk.source)))
     found, curves, judged = _swept(pair, asked, loads, series)
     surface = surface_of_pair(pair)
     motion = motion_of(DriveValue(pair, surface), loads[:1], angle, with_curve=False)

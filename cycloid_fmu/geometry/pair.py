@@ -660,7 +660,7 @@ def _text_of(pair: Pair) -> str:
     return "\n".join(lines) + "\n"
 
 
-def parse_pair(text: str, source: str) -> Pair:
+def parse_pair(text: str, source: str, folder: Path | None = None) -> Pair:
     """Return the pair that a TOML text describes.
 
     Parameters
@@ -669,17 +669,22 @@ def parse_pair(text: str, source: str) -> Pair:
         The text of a pair file.
     source
         The file's name, for messages.
+    folder
+        That of the file, to which file names in [bodies] are relative; None for the working folder.
 
     Raises
     ------
     edge.InputError
         If it is not a valid pair; one sentence for each problem, with field, value and file.
     """
-    return pair_of_tables(edge.toml_table(text, FORMAT, source), source)
+    return pair_of_tables(edge.toml_table(text, FORMAT, source), source, folder)
 
 
-def pair_of_tables(tables: Mapping[str, Any], source: str) -> Pair:
-    """Return the pair that a file's tables describe; raise an `edge.InputError` that names invalid entries."""
+def pair_of_tables(tables: Mapping[str, Any], source: str, folder: Path | None = None) -> Pair:
+    """Return the pair that a file's tables describe; raise an `edge.InputError` that names invalid entries.
+
+    File names in [bodies] are relative to `folder`, that of the file, or to the working folder.
+    """
     tables = dict(tables)
     stated = tables.pop("errors", {})
     if not isinstance(stated, Mapping):
@@ -692,7 +697,7 @@ def pair_of_tables(tables: Mapping[str, Any], source: str) -> Pair:
             modification=file.modification,
             material=file.material,
             supports=file.supports,
-            bodies=file.bodies,
+            bodies=file.bodies if file.bodies is None or folder is None else file.bodies.in_folder(folder),
             losses=file.losses,
             thermal=file.thermal,
             temperature=file.temperature,
@@ -705,8 +710,7 @@ def pair_of_tables(tables: Mapping[str, Any], source: str) -> Pair:
 
 def read_pair(path: str | os.PathLike[str]) -> Pair:
     """Return the pair of a pair file; raise an `edge.InputError` that names invalid entries."""
-    pair = parse_pair(edge.read_text(path, FORMAT), str(path))
-    return pair if pair.bodies is None else pair.replace(bodies=pair.bodies.in_folder(Path(path).parent))
+    return parse_pair(edge.read_text(path, FORMAT), str(path), Path(path).parent)
 
 
 def write_pair(pair: Pair, path: str | os.PathLike[str]) -> None:

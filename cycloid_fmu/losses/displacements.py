@@ -30,6 +30,7 @@ from cycloid_fmu.losses.rubbing import (
 from cycloid_fmu.losses.sweeps import add_flank_coefficients, add_joint_coefficients
 from cycloid_fmu.supports.balance import Load, solve_transposed
 from cycloid_fmu.supports.bearing import CENTRING, by_clearance
+from cycloid_fmu.supports.elastic import pressing, pull_ports
 from cycloid_fmu.supports.joints import (
     FIRST_DISC,
     Assembly,
@@ -38,9 +39,9 @@ from cycloid_fmu.supports.joints import (
     derivatives,
     displacement,
     eccentric,
-    reaction,
     turning_motion,
 )
+from cycloid_fmu.supports.ports import has_ports
 from cycloid_fmu.supports.sensitivity import (
     CLEARANCE,
     INNER,
@@ -55,9 +56,15 @@ from cycloid_fmu.supports.sensitivity import (
 )
 
 
+@compiled(inline=True)
+def of_ports(f: Acting) -> Acting:
+    """Friction of a force through elastic bodies: `pull_ports` has what changes with this force."""
+    return Acting(f.amplitude, 0.0, f.speed, f.sign, f.turns)
+
+
 @compiled
 def _add_flanks(
-    problem: Problem, crank_angle: float, contacts: Rows, work: Work, rubbing: Rubbing, out: Array
+    problem: Problem, assembly: Assembly, crank_angle: float, contacts: Rows, work: Work, rubbing: Rubbing, out: Array
 ) -> float:
     """Subtract λ·∂r/∂p of the flanks' friction for the displacements of pins and flanks; return λ·∂r/∂θ."""
     row, law, turning = work.step, rubbing.laws[FLANK_LAW], 0.0
@@ -70,6 +77,8 @@ def _add_flanks(
         distance = contact_.gap + radius
         speed = flank_speed(problem, local, distance)
         f = sliding_friction(law, rubbing.direction, radius, speed, contact_.force)
+        if assembly.elastic is not None:
+            f = of_ports(f)
         along, first = gap_gradient(local), FIRST_DISC + 3 * local.disc
         fall, (slide_u, slide_v, slide_y) = force_fall(contact_, local, along), along.slide
         acting, weights = (slide_u, slide_v, slide_y + distance), (row[first], row[first + 1], row[first + 2])
@@ -116,11 +125,13 @@ def _add_joints(
     row, index, by, turning = work.step, work.indices, work.by, 0.0
     for number in range(assembly.joints.size):
         joint, out = assembly.joints[number], by_joint[number]
-        d = displacement(assembly, joint, work)
-        acting = reaction(assembly, joint, d, 0.0)
-        if acting.stiffness == 0.0:
+        d, acting = pressing(assembly, number, displacement(assembly, joint, work), work, work.ports)
+        elastic = has_ports(assembly.elastic, number)
+        if acting.stiffness == 0.0 and not (elastic and acting.force > 0.0):
             continue
         f = joint_friction(rubbing, joint, joint_speed(problem, assembly, joint, d, work), acting.force)
+        if elastic:
+            f = of_ports(f)
         outer, seat = assembly.bodies[int(joint.outer)], assembly.bodies[int(joint.seat)]
         turned = row[outer.rotation] if outer.rotation >= 0 else 0.0
         if joint.reach > 0.0:
@@ -198,8 +209,9 @@ def sweep_motion_sensitivities(
             return False
         results.by_torque[i] = work.step[0]  # of λ, which is now in `step`
         by_drag[i] = rubbing.direction * work.step[0]
-        turning = add_mesh(problem, assembly, crank_angles[i], contacts, work, results.by_displacement[i])
-        turning += _add_flanks(problem, crank_angles[i], contacts, work, rubbing, results.by_displacement[i])
+        turning = -pull_ports(assembly.elastic, work.ports, work.step)
+        turning += add_mesh(problem, assembly, crank_angles[i], contacts, work, results.by_displacement[i])
+        turning += _add_flanks(problem, assembly, crank_angles[i], contacts, work, rubbing, results.by_displacement[i])
         for k in range(work.residual.size):
             work.residual[k] = 0.0
         turning += add_joints(assembly, crank_angles[i], work, results.by_joint[i])

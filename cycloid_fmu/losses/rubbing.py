@@ -19,6 +19,7 @@ from cycloid_fmu.contact import Array, Problem, Rows, compiled
 from cycloid_fmu.contact.local_frame import GapGradient, LocalFrame, Vector, force_fall, gap_gradient
 from cycloid_fmu.geometry.losses import PARTS
 from cycloid_fmu.supports.balance import Load, assemble, settling
+from cycloid_fmu.supports.elastic import add_rubbing, clear_rubbing, pressing, rub_joint, rub_pin, torque_of_bodies
 from cycloid_fmu.supports.joints import (
     FIRST_DISC,
     Assembly,
@@ -27,8 +28,8 @@ from cycloid_fmu.supports.joints import (
     derivatives,
     displacement,
     eccentric,
-    reaction,
 )
+from cycloid_fmu.supports.ports import has_ports
 
 COEFFICIENTS = ("kinetic", "static", "joint_kinetic", "joint_static", "constant", "arm")
 """What friction is linear in: coefficients at speed and at rest of a contact and of what its pin turns in; M_0 (N·m)
@@ -84,10 +85,13 @@ class Slope(NamedTuple):
     ----------
     crank_torque, sliding
         Derivatives by the unknowns: of the crank's torque, and of one joint's sliding.
+    by_force
+        Change of the balance with each N of one joint's force, by its friction.
     """
 
     crank_torque: Array
     sliding: Array
+    by_force: Array
 
 
 class Acting(NamedTuple):
@@ -161,7 +165,13 @@ def rubbing_stiffness(
 
 @compiled
 def _add_flanks(
-    problem: Problem, crank_angle: float, contacts: Rows, work: Work, rubbing: Rubbing, loss: Array
+    problem: Problem,
+    assembly: Assembly,
+    crank_angle: float,
+    contacts: Rows,
+    work: Work,
+    rubbing: Rubbing,
+    loss: Array,
 ) -> None:
     """Add the friction of flanks on pins to the balance, and their losses."""
     residual, jacobian, law = work.residual, work.jacobian, rubbing.laws[FLANK_LAW]
@@ -180,6 +190,9 @@ def _add_flanks(
         fall, (slide_u, slide_v, slide_y) = force_fall(contact_, local, along), along.slide
         # Friction acts at the point of contact, which slides with the gear's rotation as well.
         acting, first = (slide_u, slide_v, slide_y + distance), FIRST_DISC + 3 * local.disc
+        by_force = (-f.slope * acting[0], -f.slope * acting[1], -f.slope * acting[2])
+        if rub_pin(assembly.elastic, work.ports, row, first, by_force):
+            fall = (0.0, 0.0, 0.0)
         for i in range(3):
             residual[first + i] -= f.amplitude * acting[i]
             for j in range(3):
@@ -256,16 +269,31 @@ def _add_moment(
 
 
 @compiled
+def _write_by_force(assembly: Assembly, joint: np.record, f: Acting, work: Work, slope: Slope, unknowns: int) -> None:
+    """Write the change of the balance with each N of a joint's force, by its friction."""
+    for i in range(slope.by_force.size):
+        slope.by_force[i] = 0.0
+    if joint.reach > 0.0:
+        for i in range(unknowns):
+            slope.by_force[work.indices[i]] += f.slope * slope.sliding[i]
+        return
+    outer, inner = assembly.bodies[int(joint.outer)].rotation, assembly.bodies[int(joint.inner)].rotation
+    if outer >= 0:
+        slope.by_force[outer] += f.slope
+    if inner >= 0:
+        slope.by_force[inner] -= f.slope
+
+
+@compiled
 def _add_joints(problem: Problem, assembly: Assembly, work: Work, rubbing: Rubbing, slope: Slope, loss: Array) -> float:
     """Add the friction of joints to the balance, and their losses; return the crank's torque, and write its slope."""
-    torque = 0.0
+    torque = torque_of_bodies(problem, assembly, assembly.elastic, work, work.ports)
     for number in range(assembly.joints.size):
         joint = assembly.joints[number]
-        d = displacement(assembly, joint, work)
         # Springs that only centre what is loose rub on nothing.
-        acting = reaction(assembly, joint, d, 0.0)
+        d, acting = pressing(assembly, number, displacement(assembly, joint, work), work, work.ports)
         f = joint_friction(rubbing, joint, joint_speed(problem, assembly, joint, d, work), acting.force)
-        if joint.reach > 0.0 and acting.stiffness == 0.0:
+        if joint.reach > 0.0 and acting.force == 0.0:
             continue
         lost, by_crank, unknowns = abs(f.amplitude * f.speed), 0.0, derivatives(assembly, joint, d, work)
         if joint.reach > 0.0:
@@ -280,6 +308,12 @@ def _add_joints(problem: Problem, assembly: Assembly, work: Work, rubbing: Rubbi
         ex, ey = eccentric(joint, work)
         arm, along = ex * d.normal_y - ey * d.normal_x, ex * d.normal_x + ey * d.normal_y
         torque -= acting.force * arm + by_crank * f.amplitude
+        elastic = has_ports(assembly.elastic, number)
+        if elastic:
+            _write_by_force(assembly, joint, f, work, slope, unknowns)
+            rub_joint(assembly, assembly.elastic, number, d, work, slope, -by_crank * f.slope)
+        if elastic and joint.reach == 0.0:
+            continue
         for j in range(unknowns):
             closing = d.normal_x * work.by[0, j] + d.normal_y * work.by[1, j]
             across = d.normal_x * work.by[1, j] - d.normal_y * work.by[0, j]
@@ -319,8 +353,10 @@ def assemble_rubbing(
         loss[part_] = 0.0
     for i in range(work.residual.size):
         slope.crank_torque[i] = 0.0
-    _add_flanks(problem, crank_angle, contacts, work, rubbing, loss)
+    clear_rubbing(assembly.elastic, work.ports)
+    _add_flanks(problem, assembly, crank_angle, contacts, work, rubbing, loss)
     torque = _add_joints(problem, assembly, work, rubbing, slope, loss)
+    add_rubbing(assembly.elastic, work.ports, work.jacobian, slope.crank_torque)
     work.residual[0] -= rubbing.direction * rubbing.drag
     loss[DRAG_OUTPUT] = rubbing.drag / problem.teeth
     if rubbing.sun_share > 0.0:

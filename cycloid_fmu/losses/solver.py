@@ -19,7 +19,7 @@ from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.losses.rubbing import DRAG_INPUT, LAW, Rubbing
 from cycloid_fmu.losses.sweeps import slope_of, sweep_rubbing
 from cycloid_fmu.supports import transmission as stage
-from cycloid_fmu.supports.assembly import bodies_of, check_rigid, kinds_of
+from cycloid_fmu.supports.assembly import bodies_of, kinds_of
 from cycloid_fmu.supports.joints import work_of
 from cycloid_fmu.supports.transmission import (
     OnBearings,
@@ -54,7 +54,6 @@ def losses_of(drive: DriveValue, source: str = "the pair") -> Losses:
         raise edge.InputError(
             f"{source}: [losses] needs [supports], which is missing: friction depends on the bearings' forces."
         )
-    check_rigid(drive.pair, "friction")
     if losses.first_stage is not None and drive.first_stage is None:
         raise edge.InputError(
             f"{source}: [losses.first_stage]: the drive has no first stage; state it in a reducer file."

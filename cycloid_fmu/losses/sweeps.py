@@ -31,13 +31,14 @@ from cycloid_fmu.losses.rubbing import (
 )
 from cycloid_fmu.supports.balance import Load, solve_transposed
 from cycloid_fmu.supports.bearing import CENTRING
-from cycloid_fmu.supports.joints import FIRST_DISC, Assembly, Work, derivatives, displacement, reaction
+from cycloid_fmu.supports.elastic import pressing
+from cycloid_fmu.supports.joints import FIRST_DISC, Assembly, Work, derivatives, displacement
 from cycloid_fmu.supports.sweeps import Solutions, follow_neighbours, write_solution
 
 
 def slope_of(unknowns: int) -> Slope:
     """Return uninitialized work arrays."""
-    return Slope(np.zeros(unknowns), np.zeros(unknowns))
+    return Slope(*np.zeros((3, unknowns)))
 
 
 @compiled
@@ -147,8 +148,8 @@ def add_joint_coefficients(
     row, index = work.step, work.indices
     for number in range(assembly.joints.size):
         joint = assembly.joints[number]
-        d = displacement(assembly, joint, work)
-        force, law = reaction(assembly, joint, d, 0.0).force, rubbing.laws[int(joint.law)]
+        d, acting = pressing(assembly, number, displacement(assembly, joint, work), work, work.ports)
+        force, law = acting.force, rubbing.laws[int(joint.law)]
         f = joint_friction(rubbing, joint, joint_speed(problem, assembly, joint, d, work), force)
         along, roller = 0.0, joint.reach > 0.0
         if roller:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
@@ -309,8 +310,8 @@ def surface_of_reducer(reducer: Reducer, values: Mapping[str, float] | None = No
     )
 
 
-def parse_reducer(text: str, source: str) -> Reducer:
-    """Return the reducer of a TOML text.
+def parse_reducer(text: str, source: str, folder: Path | None = None) -> Reducer:
+    """Return the reducer of a TOML text; file names in [bodies] are relative to `folder`, or to the working folder.
 
     Raises
     ------
@@ -318,7 +319,7 @@ def parse_reducer(text: str, source: str) -> Reducer:
         If it is not a valid reducer; one sentence for each problem, with field, value and `source`.
     """
     table = edge.toml_table(text, FORMAT, source)
-    of_stage = ("pair", "modification", "material", "supports", "losses", "thermal", "expansion")
+    of_stage = ("pair", "modification", "material", "supports", "bodies", "losses", "thermal", "expansion")
     stage: dict[str, Any] = {k: table.pop(k) for k in of_stage if k in table}
     if isinstance(stated := table.pop("errors", {}), dict) and set(stated) <= {"supports"}:
         stage["errors"] = stated
@@ -326,7 +327,7 @@ def parse_reducer(text: str, source: str) -> Reducer:
         raise edge.InputError(f"{source}: [errors]: a reducer states its errors in [deviations] and [errors.supports].")
     if "stage" in table:
         raise edge.InputError(f"{source}: stage is not a known key; check its spelling or remove it.")
-    pair = pair_of_tables(stage, source)
+    pair = pair_of_tables(stage, source, folder)
     if pair.output != "gear":
         raise edge.InputError(
             f'{source}: [pair] output = "ring": the pin ring of an RV reducer is fixed; write "gear".'
@@ -349,7 +350,7 @@ def read_reducer(path: str | os.PathLike[str]) -> Reducer:
     >>> cy.read_reducer("rv.toml").ratio
     141.0
     """
-    return parse_reducer(edge.read_text(path, FORMAT), str(path))
+    return parse_reducer(edge.read_text(path, FORMAT), str(path), Path(path).parent)
 
 
 def contradictions(reducer: Reducer, source: str) -> list[str]:

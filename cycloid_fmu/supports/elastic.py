@@ -16,7 +16,7 @@ import numpy as np
 from cycloid_fmu import contact
 from cycloid_fmu.contact import Array, Problem, Rows, compiled
 from cycloid_fmu.contact.hertz import hertz_approach
-from cycloid_fmu.contact.local_frame import gap_gradient, turning_stiffness
+from cycloid_fmu.contact.local_frame import Vector, gap_gradient, turning_stiffness
 from cycloid_fmu.contact.rows import disc_slice_pin
 from cycloid_fmu.supports.bearing import by_clearance, push
 from cycloid_fmu.supports.influence import (
@@ -33,10 +33,12 @@ from cycloid_fmu.supports.joints import (
     FIRST_DISC,
     Assembly,
     Displacement,
+    Reaction,
     Work,
     change,
     derivatives,
     displacement,
+    eccentric,
     reaction,
 )
 from cycloid_fmu.supports.ports import (
@@ -500,6 +502,14 @@ def _add_pin(problem: Problem, crank_angle: float, contacts: Rows, row: int, wor
             work.jacobian[first + i, first + j] += turning[i][j]
 
 
+@compiled(inline=True)
+def port_direction(joint: np.record, port: np.record, d: Displacement, c: float, s: float) -> tuple[float, float]:
+    """Direction of a port's force on its joint's displacement; `c`, `s` of the outer body's ideal rotation."""
+    if joint.reach > 0.0:
+        return d.normal_x, d.normal_y
+    return s * port.along_y - c * port.along_x, -s * port.along_x - c * port.along_y
+
+
 @compiled
 def _add_joint(
     assembly: Assembly, elastic: Elastic, number: int, axes: tuple[float, float], work: Work, ports: Ports, k: int
@@ -515,9 +525,7 @@ def _add_joint(
     fx = fy = 0.0
     while k < ports.counts[0] and ports.active[k] < last:
         port, row = ports.ports[ports.active[k]], ports.by_coordinate[k]
-        ax, ay = d.normal_x, d.normal_y
-        if joint.reach == 0.0:
-            ax, ay = s * port.along_y - c * port.along_x, -s * port.along_x - c * port.along_y
+        ax, ay = port_direction(joint, port, d, c, s)
         for i in range(unknowns):
             row[index[i]] += ax * by[0, i] + ay * by[1, i]
         fx, fy = fx + port.force * ax, fy + port.force * ay
@@ -612,6 +620,23 @@ def joint_force(assembly: Assembly, number: int, d: Displacement, work: Work, po
 
 
 @compiled
+def pressing(assembly: Assembly, number: int, d: Displacement, work: Work, ports: Any) -> tuple[Displacement, Reaction]:
+    """Displacement of a joint with the direction of its force, and the force, without the centring springs.
+
+    Through elastic bodies stiffnesses are 0: how such a force changes is in its ports.
+    """
+    if not has_ports(assembly.elastic, number):
+        return d, reaction(assembly, assembly.joints[number], d, 0.0)
+    fx, fy = joint_force(assembly, number, d, work, ports)
+    force = math.hypot(fx, fy)
+    nx, ny = (fx / force, fy / force) if force > 0.0 else (d.normal_x, d.normal_y)
+    return (
+        Displacement(nx, ny, d.length, d.excess, d.outer_x, d.outer_y, d.inner_x, d.inner_y),
+        Reaction(force, 0.0, 0.0),
+    )
+
+
+@compiled
 def torque_of_bodies(problem: Problem, assembly: Assembly, elastic: Elastic | None, work: Work, ports: Any) -> float:
     """What elastic bodies add to the crank's torque at a solved place, N·m.
 
@@ -653,26 +678,112 @@ class Pull(NamedTuple):
 
 
 @compiled
-def pull_ports(elastic: Elastic | None, ports: Any, by: Array) -> float:
-    """Write the change of all ports' forces by a change of the unknowns; return its work on dC/dθ f at these ports."""
-    if elastic is None:
-        return 0.0
-    for number in range(ports.ports.size):
-        ports.ports[number].pull = 0.0
-    n, right, rates = ports.counts[0], ports.right, ports.rates
-    for k in range(n):
-        right[k] = dot(ports.by_coordinate[k], by)
-    solve_ports(ports, right)
+def _write_rates(elastic: Elastic, ports: Any) -> None:
+    """Write dC/dθ f of the slots under load."""
+    rates = ports.rates
     _write_forces(ports)
     for slot in range(rates.size):
         rates[slot] = 0.0
     add_rates(elastic.influence, ports.moving, ports.of_slots, rates)
+
+
+@compiled
+def pull_ports(elastic: Elastic | None, ports: Any, by: Array) -> float:
+    """Write the change of all ports' forces by a change of the unknowns; return its work on dC/dθ f at these ports.
+
+    With friction it is what the balance changes by with each port's approach, along `by`.
+    """
+    if elastic is None:
+        return 0.0
+    for number in range(ports.ports.size):
+        ports.ports[number].pull = 0.0
+    n, right = ports.counts[0], ports.right
+    for k in range(n):
+        right[k] = dot(ports.by_coordinate[k], by) + dot(ports.rubbing[ports.active[k]], by)
+    solve_ports(ports, right)
+    _write_rates(elastic, ports)
     work = 0.0
     for k in range(n):
         port = ports.ports[ports.active[k]]
         port.pull = right[k]
-        work += right[k] * rates[port.slot]
+        work += right[k] * ports.rates[port.slot]
     return work
+
+
+@compiled
+def clear_rubbing(elastic: Elastic | None, ports: Any) -> None:
+    """Set what friction takes of the ports under load to zero, and what the crank takes to that by their influence."""
+    if elastic is None:
+        return
+    _write_rates(elastic, ports)
+    for k in range(ports.counts[0]):
+        number = ports.active[k]
+        ports.by_crank[number] = -ports.rates[ports.ports[number].slot]
+        for i in range(ports.rubbing.shape[1]):
+            ports.rubbing[number, i] = 0.0
+
+
+@compiled
+def rub_pin(elastic: Elastic | None, ports: Any, row: int, first: int, by_force: Vector) -> bool:
+    """Set by how much friction changes the balance of a disc with each N on a pin; return False if all are rigid."""
+    if elastic is None:
+        return False
+    for i in range(3):
+        ports.rubbing[elastic.of_row[row], first + i] = by_force[i]
+    return True
+
+
+@compiled
+def rub_joint(
+    assembly: Assembly, elastic: Elastic | None, number: int, d: Displacement, work: Work, slope: Any, by_crank: float
+) -> None:
+    """Set by how much friction changes the balance, and the crank's torque, with the force of a joint's ports.
+
+    Parameters
+    ----------
+    d
+        Of the joint, of `pressing`.
+    slope
+        `losses.rubbing.Slope` with `by_force` of the joint. To `crank_torque` is added that a bearing's axes turn.
+    by_crank
+        Change of the crank's torque with each N of the joint's force, by its friction.
+    """
+    if elastic is None:
+        return
+    joint = assembly.joints[number]
+    ports: Any = work.ports
+    rate = assembly.bodies[int(joint.outer)].rate
+    c, s = math.cos(ports.moving.angle[0] * rate), math.sin(ports.moving.angle[0] * rate)
+    own = displacement(assembly, joint, work)
+    ex, ey = eccentric(joint, work)
+    if joint.reach == 0.0:
+        ex, ey = ex + rate * own.length * own.normal_x, ey + rate * own.length * own.normal_y
+        fx, fy = ports.of_joints[number, 0], ports.of_joints[number, 1]
+        for i in range(derivatives(assembly, joint, own, work)):
+            slope.crank_torque[work.indices[i]] -= rate * (work.by[0, i] * fy - work.by[1, i] * fx)
+    for i in range(elastic.first[number], elastic.first[number] + elastic.ports_of_joint[number]):
+        ax, ay = port_direction(joint, ports.ports[i], d, c, s)
+        along = ax * d.normal_x + ay * d.normal_y
+        ports.by_crank[i] += along * by_crank - (ex * ay - ey * ax)
+        for k in range(slope.by_force.size):
+            ports.rubbing[i, k] = along * slope.by_force[k]
+
+
+@compiled
+def add_rubbing(elastic: Elastic | None, ports: Any, jacobian: Array, by_coordinate: Array) -> None:
+    """Add what friction changes with the ports' forces to the derivatives of the balance and of the crank's torque."""
+    if elastic is None:
+        return
+    n, right = ports.counts[0], ports.right
+    for j in range(by_coordinate.size):
+        for k in range(n):
+            right[k] = ports.by_coordinate[k, j]
+        solve_ports(ports, right)
+        for k in range(n):
+            number, change_ = ports.active[k], right[k]
+            by_coordinate[j] += ports.by_crank[number] * change_
+            for i in range(by_coordinate.size):
+                jacobian[i, j] += ports.rubbing[number, i] * change_
 
 
 @compiled
@@ -709,9 +820,7 @@ def pull_of(
         pull, softness = port.pull, port.softness
         if pull == 0.0:
             continue
-        ax, ay = d.normal_x, d.normal_y
-        if joint.reach == 0.0:
-            ax, ay = s * port.along_y - c * port.along_x, -s * port.along_x - c * port.along_y
+        ax, ay = port_direction(joint, port, d, c, s)
         x, y = x + pull * ax, y + pull * ay
         stiffness += pull * softness * port.force
         clearance += 0.5 * pull
@@ -750,15 +859,18 @@ def share_compliance(
         return
     for part in range(out.size):
         out[part] = 0.0
-    pull_ports(elastic, ports, by_torque)
+    for k in range(ports.counts[0]):
+        ports.right[k] = dot(ports.by_coordinate[k], by_torque)
+    solve_ports(ports, ports.right)
     for slot in range(ports.of_slots.size):
         ports.of_slots[slot] = 0.0
     for k in range(ports.counts[0]):
         port = ports.ports[ports.active[k]]
-        ports.of_slots[port.slot] += port.pull
-        share = port.pull * port.pull * port.softness
+        pull = ports.right[k]
+        ports.of_slots[port.slot] += pull
+        share = pull * pull * port.softness
         if port.kind == ALONG_X:
-            share += 2.0 * port.pull * ports.ports[ports.active[k] + 1].pull * port.across
+            share += 2.0 * pull * ports.right[k + 1] * port.across
         out[0 if port.kind == PIN else 1 + port.law] += share
     laws = assembly.laws.size
     write_shares(elastic.influence, ports.moving, ports.of_slots, out[1 + laws :])

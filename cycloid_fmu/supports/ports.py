@@ -98,6 +98,9 @@ class Ports(NamedTuple):
         Right side, and the forces of ports under load, shape (ports,).
     of_slots, rates
         Forces of all slots, and dC/dθ f there, shape (slots,).
+    rubbing, by_crank
+        Change of the balance and of the crank's torque with each port's force by what friction and the crank take of
+        it, shapes (ports, unknowns) and (ports,): zero without friction (`add_rubbing`).
     of_joints
         Force on each joint's displacement, N, shape (joints, 2).
     reach
@@ -123,6 +126,8 @@ class Ports(NamedTuple):
     forces: Array
     of_slots: Array
     rates: Array
+    rubbing: Array
+    by_crank: Array
     of_joints: Array
     reach: Array
 
@@ -151,6 +156,8 @@ def ports_of(elastic: Elastic, unknowns: int) -> Ports:
         forces=np.zeros(count),
         of_slots=np.zeros(slots),
         rates=np.zeros(slots),
+        rubbing=np.zeros((count, unknowns)),
+        by_crank=np.zeros(count),
         of_joints=np.zeros((elastic.first.size, 2)),
         reach=np.full(1, _FIRST_REACH),
     )

@@ -288,7 +288,7 @@ def _on_rigid_bearings(drive: DriveValue) -> tuple[Pair, ErrorSurface]:
     pair, surface = drive.pair, drive.surface
     if pair.supports is None:
         return pair, surface
-    return (bare := pair.nominal.replace(supports=None)), _of_pair(surface, bare)
+    return (bare := pair.nominal.replace(supports=None, bodies=None)), _of_pair(surface, bare)
 
 
 def _of_pair(surface: ErrorSurface, pair: Pair) -> ErrorSurface:

@@ -175,9 +175,10 @@ _NO_POSTERIOR = (
 
 def _is_of(fitted: Pair, nominal: Pair) -> bool:
     """Whether a fitted pair is a nominal one, except for its bearings."""
-    if (fitted.supports is None) != (nominal.supports is None):
+    if (fitted.supports is None) != (nominal.supports is None) or fitted.bodies != nominal.bodies:
         return False
-    return bool(fitted.nominal.replace(supports=None).text == nominal.nominal.replace(supports=None).text)
+    bare, of_nominal = (pair.nominal.replace(supports=None, bodies=None).text for pair in (fitted, nominal))
+    return bool(bare == of_nominal)
 
 
 def read_posterior(path: str | os.PathLike[str], drive: Drive) -> Posterior:

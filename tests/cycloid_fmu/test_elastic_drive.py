@@ -240,9 +240,6 @@ def test_a_pair_with_bodies_is_its_text(tmp_path):
 
 
 def test_what_does_not_use_bodies_refuses_them():
-    drive = cy.Drive(SOFT_CRANKS.replace(losses={"flank": {"friction_coefficient": 0.05}}))
-    with pytest.raises(cy.InputError, match=r"\[bodies\], which friction does not take into account"):
-        drive.losses(20.0, crank_speed="10 rad/s")
     with pytest.raises(cy.InputError, match="elastic bodies are loaded alike over the width"):
         cy.Drive(SOFT_CRANKS).analyze(20.0, angles=2, slices=3)
     with pytest.raises(cy.InputError, match="needs \\[supports\\]"):

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from common import MEASURED
 
+import cycloid_fmu as cy
+
 ROOT = Path(__file__).parents[2]
 
 
@@ -23,6 +25,35 @@ def published(monkeypatch):
 def test_the_page_has_the_table_that_its_script_computes(published):
     page = published.PAGE.read_text(encoding="utf-8")
     assert published.written(page, published.rows()) == page
+
+
+@pytest.mark.slow(60)
+def test_the_page_of_elastic_bodies_has_the_table_that_its_script_computes(published):
+    page = published.BODIES.read_text(encoding="utf-8")
+    assert published.with_stiffness(page) == page
+
+
+def test_the_measured_stiffness_is_within_the_prediction_with_bodies_and_not_without(published):
+    """250 to 340 N·m/rad of the open thesis: between the ends of what is not published, and below any rigid body's."""
+    soft, _ = published.stiffness_of(published.printed_bodies(()))
+    pins, shares = published.stiffness_of(published.printed_bodies({"output pins"}))
+    rigid = published.printed_bodies(())
+    rigid = cy.Drive(rigid.pair.replace(bodies=None)).analyze("15 N*m", angles=13)
+    assert soft < 250.0 < 340.0 < rigid.torsional_stiffness.values.min()
+    assert pins > 2.5 * soft  # the output pins decide
+    assert shares["output_pin"] < 0.02 < shares["crank"]
+
+
+@pytest.mark.parametrize("run", ["onyx_init1", "onyx_runin1"])
+def test_what_the_page_says_of_stiffness_is_in_the_measurements(run):
+    if not (MEASURED / "expected.json").exists():
+        pytest.skip(f"{MEASURED / 'expected.json'} is missing")
+    measured = json.loads((MEASURED / "expected.json").read_text())["runs"][run]
+    page = (ROOT / "docs" / "theory" / "bodies.md").read_text(encoding="utf-8")
+    ends = map(float, re.search(r"locked: (\d+) to (\d+) N·m/rad, (\d+) to (\d+) without", page).groups())
+    low, high, free_low, free_high = ends
+    assert low <= measured["published"]["stiffness_Nm_rad"] <= high
+    assert free_low - 1.0 <= measured["friction_free_stiffness_Nm_rad"]["value"] <= free_high + 1.0
 
 
 def test_friction_at_an_end_of_the_table_is_what_the_drive_gets(published):
