@@ -27,7 +27,7 @@ from fitting.figures.spectrum import (
 )
 from fitting.figures.survey import survey
 from fitting.readers.sources import RecordingFile, Source, each_source, open_source
-from fitting.transmission_error.curve import Curve
+from fitting.transmission_error.curve import Curve, whole_turns
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -241,6 +241,7 @@ def _dataset(points: Sequence[_Point], ratio: float, drive: Drive | None, notes:
     orders = _named_orders(points, ratio, drive)
     level = np.array([p.mean for p in points])
     common = all(p.common_zero for p in points)
+    level = level - whole_turns(level - level[0]) if common else level
     stiffness = np.full(shape, np.nan)
     if common and axes[0].size > 1:
         stiffness = _slope(axes[0], mean(level * sign))

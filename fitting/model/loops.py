@@ -30,7 +30,7 @@ from fitting.model.first_stage import of_cranks
 from fitting.readers.recording import Recording, RecordingStream
 from fitting.readers.sources import Source, each_source, open_source
 from fitting.samples.plausible import PlausibleBlocks
-from fitting.transmission_error.curve import Curve
+from fitting.transmission_error.curve import Curve, whole_turns
 from fitting.transmission_error.folding import LOCKED, curves
 
 Array = NDArray[np.float64]
@@ -237,15 +237,17 @@ def on_the_curves_zero(branches: Sequence[Curve], curves: Sequence[Curve]) -> li
     found = []
     for one in branches:
         turn = 2.0 * np.pi / one.ratio
-        passed = 0.0
+        passed, output = 0.0, 0.0
         if one.common_zero and absolute:
-            passed = round((float(np.mean(one.transmission_error)) - float(np.mean(absolute))) / turn)
+            away = float(np.mean(one.transmission_error) - np.mean(absolute))
+            output = float(whole_turns(away))
+            passed = round((away - output) / turn)
         crank = one.input_angle + 2.0 * np.pi * passed
         found.append(
             dataclasses.replace(
                 one,
                 input_angle=np.mod(crank, 2.0 * np.pi * abs(one.ratio)),
-                transmission_error=one.transmission_error - passed * turn,
+                transmission_error=one.transmission_error - output - passed * turn,
             )
         )
     return found

@@ -166,7 +166,7 @@ _LINES = 62  # lines of text per page
 def _write_pdf(found: Figures, panels: Sequence[Panel], path: Path) -> None:
     from matplotlib.backends.backend_pdf import PdfPages
 
-    from fitting.reports.plots import draw_panel
+    from fitting.reports.drawing import draw_panel
 
     with PdfPages(path, metadata={"Title": "Test bench report", "Creator": f"cycloid-fmu {__version__}"}) as pdf:
         for page in _text_pages(found):

@@ -23,8 +23,9 @@ from fitting.figures.spectrum import spectrum
 from fitting.model.discrepancy import SENTENCES
 from fitting.model.loops import LoopFit
 from fitting.model.observations import CHAIN, MISFIT
+from fitting.reports.curve_panels import comparison_panels
 from fitting.reports.page import html_page, made_now
-from fitting.reports.panels import Panel, Trace, label_of, spectra_panel
+from fitting.reports.panels import Panel, Trace, spectra_panel
 from fitting.reports.ring import ring_panel
 
 FORMATS = (".html",)
@@ -35,29 +36,19 @@ _FIELD_UNITS = {"m": (1e6, "µm"), "rad": (1e3, "mrad"), "1": (1.0, "of the stat
 
 def fit_panels(result: Identification) -> list[Panel]:
     """Return the panels of a fit: measured and fitted curves, residuals, their orders, and the errors' intervals."""
-    fitted, left, rest = [], [], []
-    for number, (curve, model) in enumerate(zip(result.curves, result.fitted_curves, strict=True)):
-        turns = curve.input_angle / (2.0 * np.pi)
-        shown = turns <= _CRANK_TURNS
-        error, residual = curve.transmission_error, curve.transmission_error - model
-        fitted.append(Trace("measured" if number == 0 else "", turns[shown], error[shown] / _ARC, "points", -1))
-        fitted.append(Trace(label_of(curve), turns[shown], model[shown] / _ARC, "thin", number))
-        left.append(Trace(label_of(curve), turns, residual / _ARC, "thin", number))
-        rest.append(dataclasses.replace(curve, transmission_error=residual))
+    both, residual = comparison_panels(result.curves, result.fitted_curves, "fitted", _CRANK_TURNS)
+    rest = [
+        dataclasses.replace(curve, transmission_error=curve.transmission_error - model)
+        for curve, model in zip(result.curves, result.fitted_curves, strict=True)
+    ]
     panels = [
-        Panel(
-            "Measured and fitted",
-            "crank turns",
-            "transmission error [arcsec]",
-            tuple(fitted),
-            "Points are measured; lines are the fit, including the bench's errors. First crank turns only.",
+        dataclasses.replace(
+            both,
+            caption="Points are measured; lines are the fit, including the bench's errors. First crank turns only.",
         ),
-        Panel(
-            "Residual",
-            "crank turns",
-            "measured minus fitted [arcsec]",
-            tuple(left),
-            f"{result.residual / _ARC:.3f}″ rms residual; the noise of a point is {result.noise / _ARC:.3f}″. "
+        dataclasses.replace(
+            residual,
+            caption=f"{result.residual / _ARC:.3f}″ rms residual; the noise of a point is {result.noise / _ARC:.3f}″. "
             "Click a curve's name to hide it; double-click it to hide all others.",
         ),
     ]

@@ -43,7 +43,8 @@ class Trace:
     x, y
         Coordinates; NaN interrupts a line.
     style
-        "line", "thin", "dashed", "thick", "points" in grey, "dots" in the colour, or "words" for only the texts.
+        "line", "thin", "dashed", "thick", "points" in grey, "dots" and "circles" (open) in the colour, "words" for only
+        the texts, or "band": the area within the outline x, y.
     colour
         Number of the colour; -1 is grey.
     texts
@@ -53,7 +54,7 @@ class Trace:
     label: str
     x: Array
     y: Array
-    style: Literal["line", "thin", "dashed", "thick", "points", "dots", "words"] = "line"
+    style: Literal["line", "thin", "dashed", "thick", "points", "dots", "circles", "words", "band"] = "line"
     colour: int = 0
     texts: tuple[str, ...] = ()
 
@@ -88,6 +89,27 @@ class Panel:
     heat: tuple[HeatMap, ...] = ()
     log_x: bool = False
     from_zero: bool = False
+    x_limits: tuple[float, float] | None = None
+    y_limits: tuple[float, float] | None = None
+
+
+def stems(x: Array, low: Array, high: Array) -> tuple[Array, Array]:
+    """Return the points of upright lines from `low` to `high` at each x, with NaN between them."""
+    return np.repeat(x, 3), np.stack([low, high, np.full(x.size, np.nan)], axis=1).ravel()
+
+
+def band(label: str, x: Array, low: Array, high: Array, colour: int = 0) -> Trace:
+    """Return the area between two curves over x."""
+    return Trace(label, np.concatenate([x, x[::-1]]), np.concatenate([low, high[::-1]]), "band", colour)
+
+
+def apart(panel: Panel) -> list[Panel]:
+    """Return one panel for each trace, with its label as title and the same y axis."""
+    most = 1.1 * max(float(np.nanmax(np.abs(trace.y))) for trace in panel.traces)
+    return [
+        dataclasses.replace(panel, title=t.label, traces=(dataclasses.replace(t, label=""),), y_limits=(-most, most))
+        for t in panel.traces
+    ]
 
 
 def names_above(panel: Panel) -> list[tuple[float, float, float, str]]:
@@ -199,10 +221,9 @@ def spectra_panel(
         order = np.arange(1, upto, dtype=float)
         amplitude, floor = of_curve.amplitude[1:upto] * ARCSEC, of_curve.floor[1:upto] * ARCSEC
         seen = of_curve.significant[1:upto]
-        at, top, count = order[seen], amplitude[seen], np.count_nonzero(seen)
-        stems = np.stack([floor[seen], top, np.full(count, np.nan)], axis=1).ravel()
+        at, top = order[seen], amplitude[seen]
         traces.append(Trace("", order[~seen], amplitude[~seen], "points", -1))
-        traces.append(Trace("", np.repeat(at, 3), stems, "line", number))
+        traces.append(Trace("", *stems(at, floor[seen], top), "line", number))
         traces.append(Trace(label_of(curve), at, top, "dots", number))
         traces.append(Trace("noise floor" if number == 0 else "", order, floor, "dashed", -1))
     largest = np.zeros(highest + 1)
@@ -238,9 +259,8 @@ def _broken_orders(runs: Sequence[RunOrders]) -> list[Trace]:
             np.array([getattr(one, name) for one in broken]) for name in ("order", "amplitude", "uncertainty")
         )
         low, high = np.maximum(size - interval, 0.05 * size) * ARCSEC, (size + interval) * ARCSEC
-        bars = np.stack([low, high, np.full(order.size, np.nan)], axis=1).ravel()
         names = tuple(f"{one.order:.4g} {one.source}".strip() for one in broken) if number == 0 else ()
-        traces.append(Trace("", np.repeat(order, 3), bars, "thin", number))
+        traces.append(Trace("", *stems(order, low, high), "thin", number))
         traces.append(Trace("no whole order" if number == 0 else "", order, size * ARCSEC, "points", -1, names))
     return traces
 

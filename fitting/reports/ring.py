@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.estimation.realised import Realised
-from fitting.reports.panels import Panel, Trace
+from fitting.reports.panels import Panel, Trace, stems
 
 Array = NDArray[np.float64]
 
@@ -49,9 +49,9 @@ def ring_panel(ring: Realised) -> Panel:
         traces.append(Trace("", *drawn(1.0 + scale * values[part][closed], angle[closed]), "thin", 0))
         if told:
             low, high = 1.0 + scale * ends[part].T
-            spokes = np.stack([low, high, np.full(count, np.nan)], axis=1).ravel()
             label = "95 % interval" if number == 0 else ""
-            traces.append(Trace(label, *drawn(spokes, np.repeat(angle, 3)), "thick", 1))
+            at, spokes = stems(angle, low, high)
+            traces.append(Trace(label, *drawn(spokes, at), "thick", 1))
         else:
             traces.append(Trace("", *drawn(1.0 + scale * values[part], angle), "dots", 0))
         every = max(1, round(count / _NUMBERED))

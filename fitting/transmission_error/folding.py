@@ -22,7 +22,7 @@ from fitting.readers.recording import Recording, RecordingStream
 from fitting.readers.sources import Source, each_source, open_source
 from fitting.samples.block import Block
 from fitting.samples.plausible import PlausibleBlocks
-from fitting.transmission_error.curve import Curve
+from fitting.transmission_error.curve import Curve, whole_turns
 from fitting.transmission_error.unaveraged import Steps
 
 Array = NDArray[np.float64]
@@ -498,11 +498,16 @@ class Folding:
             for f in kept
         ]
         warm = float(total / count) if count else None
+        # Where an encoder's angle begins, just below or above its zero, is chance: the mean is known within one turn.
+        passed = float(whole_turns(found[0].transmission_error.mean(), 2.0 * np.pi / abs(stream.pulley)))
         return [
             dataclasses.replace(
-                one, temperature=warm, running_speed=_speed_of(one, stream), crank_speed=_crank_speed_of(one, stream)
-            )
-            for one in found
+                curve,
+                temperature=warm,
+                running_speed=_speed_of(curve, stream),
+                crank_speed=_crank_speed_of(curve, stream),
+            ).moved(-passed)
+            for curve in found
         ]
 
 
@@ -616,4 +621,8 @@ def curves(
         for block in blocks:
             folding.add(block)
         found += folding.curves(recording, blocks)
-    return found
+    common = [float(curve.transmission_error.mean()) for curve in found if curve.common_zero]
+    return [
+        curve.moved(-float(whole_turns(curve.transmission_error.mean() - common[0]))) if curve.common_zero else curve
+        for curve in found
+    ]

@@ -137,6 +137,29 @@ def test_memory_does_not_grow_with_the_speed_behind_a_slow_beginning():
     assert curve.transmission_error == pytest.approx(1e-4 * np.cos(curve.input_angle), abs=1e-6)
 
 
+@pytest.mark.parametrize(("first", "second"), [(-0.5, 0.5), (179.5, 180.5)])
+def test_where_an_encoder_rolls_over_does_not_count_as_transmission_error(first, second):
+    """An angle within one turn begins at 0° or at 360° by chance; zeros 1° apart stay 1° apart if they are common."""
+    crank = np.linspace(0.0, 2.0 * np.pi * 39, 39 * 100)
+
+    def means(common):
+        runs = [
+            fitting.Run(
+                input_angle=crank,
+                output_angle=np.mod(-crank / 39 + 1e-4 * np.cos(crank) + np.radians(zero), 2.0 * np.pi),
+                torque=20.0,
+                common_zero=common,
+            )
+            for zero in (first, second)
+        ]
+        return np.degrees([curve.transmission_error.mean() for curve in fitting.curves(runs, -39.0)])
+
+    assert np.diff(means(common=True)) == pytest.approx([1.0], abs=1e-3)
+    for mean, zero in zip(means(common=False), (first, second), strict=True):
+        assert -180.0 <= mean <= 180.0
+        assert np.mod(mean - zero + 1.0, 360.0) == pytest.approx(1.0, abs=1e-3)
+
+
 def test_curve_file(tmp_path):
     long = fitting.curves(recorded(np.arange(39 * 48) * 2 * np.pi / 48, 1e-5), -39.0)[0]
     short = fitting.curves(recorded(-np.arange(100) * 2 * np.pi / 48, 2e-5, torque=-50.0), -39.0)[0]
