@@ -22,6 +22,7 @@ from fitting.estimation.run_out import RunOut
 from fitting.model.discrepancy import BESIDE_THE_GEAR, FORM, RUN_OUT_CAUSE, SENTENCES, is_whole, waves, way
 from fitting.model.gaussian import Gaussian, truncated
 from fitting.model.observations import CHAIN, CREEP, MISFIT, Observations, with_scatter
+from fitting.transmission_error.spectrum import coefficients_of
 
 Array = NDArray[np.float64]
 
@@ -279,8 +280,8 @@ def order_powers(observed: Observations, left: Array) -> tuple[int, list[Array]]
         points = 1 << int(np.ceil(np.log2(32 * max(highest, 2))))
         place = np.mod(turned / turns, 1.0)
         gathered = np.bincount((place * points).astype(np.int64) % points, left[part], points)
-        count = max(np.count_nonzero(observed.weight[part]), 1)
-        found.append(np.abs(np.fft.rfft(gathered)[1 : highest + 1]) ** 2 / count)
+        count = max(int(np.count_nonzero(observed.weight[part])), 1)
+        found.append(np.abs(coefficients_of(gathered, count)[1 : highest + 1]) ** 2 * (0.25 * count))
     return turns, found
 
 

@@ -17,10 +17,11 @@ from scipy.special import stdtrit
 
 from cycloid_fmu import edge
 from fitting.figures.figure import Figure, pooled
-from fitting.figures.hysteresis import Lobe, LoopData, find_loops, loop_figures
+from fitting.figures.hysteresis import loop_figures
 from fitting.figures.instruments import Encoder, Instruments, TorqueSensor, standard_uncertainty
-from fitting.figures.spectrum import RIG_ORDERS, Spectrum, range_of, run_label, without_orders
-from fitting.figures.survey import Surveyed
+from fitting.transmission_error.loops import Lobe, LoopData, find_loops
+from fitting.transmission_error.spectrum import RIG_ORDERS, Spectrum, range_of, run_label, without_orders
+from fitting.transmission_error.survey import Surveyed
 
 Array = NDArray[np.float64]
 # Root of the sum of the squared weights of the readings that make up a figure.

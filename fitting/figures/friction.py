@@ -35,9 +35,9 @@ from fitting.arguments import check_ratio, positive
 from fitting.figures.figure import Figure, figure_json
 from fitting.figures.metrics import FORMAT as FIGURES
 from fitting.figures.starts import STARTS, Start, start_figures
-from fitting.figures.survey import overview_of
 from fitting.readers.recording import Recording
 from fitting.readers.sources import Source, each_source, open_source
+from fitting.transmission_error.survey import overview_of
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.intp]

@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
 from fitting.arguments import check_ratio
-from fitting.figures.spectrum import (
+from fitting.readers.sources import RecordingFile, Source, each_source, open_source
+from fitting.transmission_error.curve import Curve, whole_turns
+from fitting.transmission_error.spectrum import (
     RIG_ORDERS,
     Spectrum,
     order_name,
@@ -25,9 +27,7 @@ from fitting.figures.spectrum import (
     spectrum,
     without_orders,
 )
-from fitting.figures.survey import survey
-from fitting.readers.sources import RecordingFile, Source, each_source, open_source
-from fitting.transmission_error.curve import Curve, whole_turns
+from fitting.transmission_error.survey import survey
 
 if TYPE_CHECKING:
     import xarray as xr

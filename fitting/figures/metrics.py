@@ -13,6 +13,7 @@ from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.geometry.pair import Pair
 from fitting.arguments import check_ratio, positive
+from fitting.figures.angular_error import angular_transmission_error
 from fitting.figures.budget import Budget, budget_json, budgets_of
 from fitting.figures.figure import DEFINITIONS, Figure, figure_json, pooled
 from fitting.figures.friction_free import DEFINITIONS as OF_FRICTION_FREE
@@ -20,20 +21,13 @@ from fitting.figures.friction_free import FrictionFree, friction_free
 from fitting.figures.hysteresis import loop_figures
 from fitting.figures.instruments import Instruments, read_instruments
 from fitting.figures.loop_groups import LoopGroup, group_of, play_range
-from fitting.figures.orders import RunOrders, averaging_note, orders_json, orders_of_run
-from fitting.figures.spectrum import (
-    RIG_ORDERS,
-    Spectrum,
-    angular_transmission_error,
-    run_label,
-    spectrum,
-    without_orders,
-)
 from fitting.figures.starts import STARTS, Start, start_figures
-from fitting.figures.survey import Surveyed, at_positions, survey
 from fitting.readers.recording import Recording
 from fitting.readers.sources import Source, each_source, open_source
 from fitting.transmission_error.curve import Curve
+from fitting.transmission_error.orders import RunOrders, averaging_note, orders_json, orders_of_run
+from fitting.transmission_error.spectrum import RIG_ORDERS, Spectrum, run_label, spectrum, without_orders
+from fitting.transmission_error.survey import Surveyed, at_positions, survey
 
 FORMAT = "cycloid-figures/1"
 FRICTION_FREE = "friction_free."

@@ -24,14 +24,14 @@ from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.pair import LOST_MOTION_LOAD, Pair
 from cycloid_fmu.supports.transmission import play_loads
 from cycloid_fmu.surfaces.structured import displacement_columns
-from fitting.figures.friction_free import friction_free
-from fitting.figures.survey import Surveyed, survey
 from fitting.model.first_stage import of_cranks
 from fitting.readers.recording import Recording, RecordingStream
 from fitting.readers.sources import Source, each_source, open_source
 from fitting.samples.plausible import PlausibleBlocks
 from fitting.transmission_error.curve import Curve, whole_turns
 from fitting.transmission_error.folding import LOCKED, curves
+from fitting.transmission_error.mid_curve import evaluated
+from fitting.transmission_error.survey import Surveyed, survey
 
 Array = NDArray[np.float64]
 
@@ -145,10 +145,10 @@ def branches_of(surveyed: Surveyed, ratio: float) -> list[Curve]:
         )
     crank = recording.input_angle
     error = recording.output_angle - crank / ratio
-    free = friction_free(loop)
-    friction, growth = (
-        (np.inf, 0.0) if free is None else (free.figures[n].value for n in ("friction_torque", "friction_per_load"))
-    )
+    evaluation = evaluated(loop)
+    friction, growth = np.inf, 0.0
+    if evaluation is not None:
+        friction, growth = (max(evaluation.values[n], 0.0) for n in ("friction_torque", "friction_per_load"))
     found = []
     for side in (1, -1):
         for loading in (True, False):

@@ -19,7 +19,6 @@ from fitting.estimation.effects import Effect, words_of
 from fitting.estimation.parameter import NORMAL, Parameter
 from fitting.estimation.realised import GAUGE, ORDERS_STATED, Realised
 from fitting.estimation.result import Identification
-from fitting.figures.spectrum import spectrum
 from fitting.model.discrepancy import SENTENCES
 from fitting.model.loops import LoopFit
 from fitting.model.observations import CHAIN, MISFIT
@@ -27,6 +26,7 @@ from fitting.reports.curve_panels import comparison_panels
 from fitting.reports.page import html_page, made_now
 from fitting.reports.panels import Panel, Trace, spectra_panel
 from fitting.reports.ring import ring_panel
+from fitting.transmission_error.spectrum import spectrum
 
 FORMATS = (".html",)
 _CRANK_TURNS = 3.0  # range of the first panel

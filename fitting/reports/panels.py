@@ -15,13 +15,15 @@ from numpy.typing import NDArray
 
 from cycloid_fmu.edge import ARCMIN, ARCSEC
 from cycloid_fmu.geometry.pair import Pair
-from fitting.figures.friction_free import LINE, FrictionFree
-from fitting.figures.hysteresis import SIDES, LoopData, drift_of, loop_marks, without_drift
+from fitting.figures.friction_free import FrictionFree
+from fitting.figures.hysteresis import drift_of, loop_marks, without_drift
 from fitting.figures.metrics import Figures
-from fitting.figures.orders import RunOrders
-from fitting.figures.spectrum import Spectrum, order_name
 from fitting.figures.starts import STARTS
 from fitting.transmission_error.curve import Curve
+from fitting.transmission_error.loops import SIDES, LoopData
+from fitting.transmission_error.mid_curve import LINE
+from fitting.transmission_error.orders import RunOrders
+from fitting.transmission_error.spectrum import Spectrum, order_name
 
 Array = NDArray[np.float64]
 

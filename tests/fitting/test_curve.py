@@ -12,12 +12,12 @@ import drivers
 import fitting
 from cycloid_fmu import edge
 from fitting.figures.metrics import figures_of
-from fitting.figures.survey import survey
 from fitting.readers.recording import Block, Recording
 from fitting.reports.panels import panels_of
 from fitting.samples.plausible import PlausibleBlocks
 from fitting.transmission_error.curve import noise_of, write_curves
 from fitting.transmission_error.folding import Folding
+from fitting.transmission_error.survey import survey
 
 
 def recorded(angle, error, ratio=-39.0, torque=50.0):

@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
-from fitting.figures.hysteresis import LoopData, loops_of
-from fitting.figures.loop_groups import loop_groups, positions_of
 from fitting.readers.mapping import ANGLES, OPTIONAL
 from fitting.readers.recording import Recording, RecordingStream
 from fitting.samples.block import Block
 from fitting.samples.plausible import PlausibleBlocks
 from fitting.transmission_error.curve import Curve
 from fitting.transmission_error.folding import Folding
+from fitting.transmission_error.loop_groups import loop_groups, positions_of
+from fitting.transmission_error.loops import LoopData, loops_of
 
 Array = NDArray[np.float64]
 
