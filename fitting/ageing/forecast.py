@@ -38,7 +38,8 @@ _BEYOND = 2.3  # times the prior's 95 % interval (4.5 standard deviations): end 
 _DRAWS = 12  # of an identified drive, for the uncertainty of its figures when new
 _UNLIKELY = 0.01  # probability of wear beyond the computed life, from which on it is noted
 _NO_NEWS = 0.7  # of the prior's standard deviation of a factor: recordings that leave more of it hardly determine it
-_TWIN = (0.025, 0.5, 0.975)  # probabilities of a twin's smallest, usual and largest wear factor
+INTERVAL = (0.025, 0.5, 0.975)
+"""Probabilities of a median and its 95 % interval."""
 _ROOM = 120.0  # arcsec: growth of the lost motion in a life without limits and recordings
 
 
@@ -153,7 +154,7 @@ class Forecast:
             self.posterior.life,
             self.crank_turns_per_second,
         )
-        surface, factors = self.drive.surface, after.factor(_TWIN)
+        surface, factors = self.drive.surface, after.factor(INTERVAL)
         median, (low, high) = factors[1], np.clip(factors[[0, 2]] / factors[1], (0.0, 1.0), (1.0, np.inf))
         turns = life.dose / (prior.coefficient * median)
         largest, growth = min(self.ages[-1], turns[-1] / (turning * high)), float(self.growth())

@@ -16,6 +16,7 @@ from cycloid_fmu.drive import Drive
 from cycloid_fmu.geometry.pair import PositiveLength
 from fitting.ageing.life import FIGURES
 from fitting.ageing.posterior import Measured
+from fitting.estimation.parameter import NORMAL
 from fitting.figures.comparison import read_figures
 from fitting.figures.figure import Figure
 from fitting.figures.metrics import metrics
@@ -23,7 +24,6 @@ from fitting.readers.sources import Mappings, read_recordings
 
 FORMAT = "cycloid-history/1"
 HOUR = 3600.0
-_NORMAL = 1.959964  # standard errors in half a 95 % interval; of few loops that is wider, and stays so
 _ABOVE_ZERO = pydantic.Field(gt=0.0, allow_inf_nan=False)
 _PositiveAngle = Annotated[edge.Angle, _ABOVE_ZERO]
 _PositiveTime = Annotated[edge.Seconds, _ABOVE_ZERO]
@@ -209,7 +209,8 @@ def measured(
             raise edge.InputError(
                 f"{where}: none of {', '.join(FIGURES)} is there with an uncertainty; record three turns or loops."
             )
-        figures += [Measured(turns, name, value, half / _NORMAL, where) for name, value, half in rows]
+        # Of few loops an interval is wider, and stays so.
+        figures += [Measured(turns, name, value, half / NORMAL, where) for name, value, half in rows]
     return sorted(figures, key=lambda m: m.crank_turns)
 
 

@@ -14,8 +14,6 @@ from fitting.cli import options
 if TYPE_CHECKING:
     from fitting.ageing.forecast import Forecast
 
-_INTERVAL = (0.025, 0.5, 0.975)  # probabilities of a median and its 95 % interval
-
 
 def forecast(
     history_file: Annotated[
@@ -90,20 +88,21 @@ def forecast(
 
 def _print(result: Forecast, regression: bool) -> None:
     from cycloid_fmu.studies.limits import SHOWN
+    from fitting.ageing.forecast import INTERVAL
 
-    low, middle, high = result.coefficient(_INTERVAL)
+    low, middle, high = result.coefficient(INTERVAL)
     name = "Factor on the regression's wear coefficient" if regression else "Wear coefficient"
     unit = "" if regression else " m²/N"
     typer.echo(f"{name}: {middle:.3g}{unit}, 95 % interval {low:.3g} … {high:.3g}{unit}.")
     if result.bearing:
-        low, middle, high = result.growth(_INTERVAL) * 3.6e12
+        low, middle, high = result.growth(INTERVAL) * 3.6e12
         growth = f"grows {middle:.3g} µm in 1000 h, 95 % interval {low:.3g} … {high:.3g} µm."
         typer.echo(f"Clearance of {result.bearing}: {growth}")
     rows, end = [], float(result.ages[-1])
     for name in result.bands:
         unit, factor, _ = SHOWN[name]
         for age in (result.now, end):
-            low, middle, high = result.at(name, age, _INTERVAL) * factor
+            low, middle, high = result.at(name, age, INTERVAL) * factor
             label = f"{name.replace('_', ' ')} [{unit}]"
             rows.append([label, f"{age / 3600.0:.6g}", f"{middle:.3f}", f"{low:.3f} … {high:.3f}"])
     commands.print_table("Figures", ["figure", "age [h]", "median", "95 % interval"], rows)

@@ -121,17 +121,19 @@ def _scatter(passes: Sequence[Pass], of: Callable[[Sequence[Pass]], Values | Non
     """
     each: list[dict[str, tuple[float, int]]] = []
     for direction in (1, -1):
-        count = sum(one.direction == direction for one in passes)
+        count = sum(loop_pass.direction == direction for loop_pass in passes)
         if count < 2:
             each.append({})
             continue
-        left = [of([p for p in passes if p is not one]) for one in passes if one.direction == direction]
-        if any(values is None for values in left):
+        without = [
+            of([p for p in passes if p is not loop_pass]) for loop_pass in passes if loop_pass.direction == direction
+        ]
+        if any(values is None for values in without):
             return {}
-        names = set.intersection(*(set(values or ()) for values in left))
+        names = set.intersection(*(set(values or ()) for values in without))
         each.append(
             {
-                name: ((count - 1) ** 2 / count * float(np.var([v[name] for v in left if v], ddof=1)), count)
+                name: ((count - 1) ** 2 / count * float(np.var([v[name] for v in without if v], ddof=1)), count)
                 for name in names
             }
         )
@@ -189,7 +191,10 @@ def friction_free(data: LoopData) -> FrictionFree | None:
     scatter = _scatter(passes, lambda some: _once(some, middle, largest, at_torque))
     residual = residual_variances(passes, drift, middle, curve, largest, values, at_torque)
     # A windup is left at some torque between two stretches of time.
-    stiff, friction = values["torsional_stiffness"], float(np.mean([one.step for one in passes])) ** 2 / 12.0
+    stiff, friction = (
+        values["torsional_stiffness"],
+        float(np.mean([loop_pass.step for loop_pass in passes])) ** 2 / 12.0,
+    )
     resolved = {
         "play": 2.0 * friction / stiff**2,
         "friction_torque": friction,

@@ -66,15 +66,15 @@ def value_at(torque: Array, windup: Array, part: slice, at: float, near: float) 
     at, near
         Signed torque, and the largest distance from it, N·m.
     """
-    place = part.start + np.flatnonzero(np.abs(torque[part] - at) <= near)
-    if place.size < 3 or np.ptp(torque[place]) == 0.0:
+    index = part.start + np.flatnonzero(np.abs(torque[part] - at) <= near)
+    if index.size < 3 or np.ptp(torque[index]) == 0.0:
         return None
-    noise = _noise(torque[place], windup[place])
-    nearest = place[np.argsort(np.abs(torque[place] - at), kind="stable")]
-    sizes = [place.size]
+    noise = _noise(torque[index], windup[index])
+    nearest = index[np.argsort(np.abs(torque[index] - at), kind="stable")]
+    sizes = [index.size]
     while sizes[-1] / _FEWER >= _FEWEST:
         sizes.append(int(sizes[-1] / _FEWER))
-    rounding = 1e-12 * float(np.ptp(windup[place]))
+    rounding = 1e-12 * float(np.ptp(windup[index]))
     agreed: list[tuple[float, float]] = []
     scatter = math.inf
     for size in reversed(sizes):
@@ -105,8 +105,8 @@ def _noise(torque: Array, windup: Array) -> float:
     )
     wide = np.where(after > before, after - before, 1.0)
     share = np.where(after > before, (after - here) / wide, 0.5)
-    left = share * first + (1.0 - share) * last - middle
-    return float(np.sqrt(np.mean(left**2 / (share**2 + (1.0 - share) ** 2 + 1.0))))
+    residual = share * first + (1.0 - share) * last - middle
+    return float(np.sqrt(np.mean(residual**2 / (share**2 + (1.0 - share) ** 2 + 1.0))))
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ def _loop_values(torque: Array, windup: Array, loop: Loop, rated: float) -> _Loo
         middle = 0.5 * (up + down), 0.25 * (up_variance + down_variance)
 
     def both(share: float, near: float) -> list[tuple[_Value, _Value]] | None:
-        found = []
+        loop_values = []
         for side in sides:
             loading, unloading = (
                 value_at(torque, windup, branch, side.sign * share * rated, near * rated)
@@ -150,8 +150,8 @@ def _loop_values(torque: Array, windup: Array, loop: Loop, rated: float) -> _Loo
             )
             if loading is None or unloading is None:
                 return None
-            found.append((loading, unloading))
-        return found
+            loop_values.append((loading, unloading))
+        return loop_values
 
     widths = both(FRICTION, FRICTION_NEAR)
     if widths is not None:
@@ -269,9 +269,9 @@ def drift_of(data: LoopData) -> Drift | None:
     if x.size <= matrix.shape[1] or np.linalg.matrix_rank(matrix) < matrix.shape[1]:
         return None
     solution = np.linalg.lstsq(matrix, windup, rcond=None)[0]
-    left = windup - matrix @ solution
-    variance = float(left @ left) / (x.size - matrix.shape[1])
-    alike = float(left[1:] @ left[:-1]) / max(float(left @ left), 1e-300)
+    residual = windup - matrix @ solution
+    variance = float(residual @ residual) / (x.size - matrix.shape[1])
+    alike = float(residual[1:] @ residual[:-1]) / max(float(residual @ residual), 1e-300)
     alike = min(max(alike, 0.0), 1.0 - 2.0 / x.size)
     variance *= (1.0 + alike) / (1.0 - alike) * float(np.linalg.inv(matrix.T @ matrix)[-1, -1])
     return Drift(float(solution[-1]) / length, math.sqrt(variance) / length, repeated)
@@ -362,7 +362,7 @@ def stiffness_segments(data: LoopData, drift: Drift | None, limits: Sequence[flo
     freed = (without_drift(data, drift), without_drift(data, drift, more=1.0))
     lobes = data.lobes[1:] if len(data.lobes) > 2 else data.lobes
     reached = float(np.abs(data.torque).max())
-    found = {}
+    figures = {}
     for number, (low, high) in enumerate(itertools.pairwise(limits), start=1):
         if reached < low + 0.9 * (high - low):
             continue
@@ -379,8 +379,8 @@ def stiffness_segments(data: LoopData, drift: Drift | None, limits: Sequence[flo
             if values:
                 parts[side] = _mean_figure("torsional_stiffness", values, drifted, (low, high))
         if parts:
-            found[f"K{number}"] = _of_sides(parts)
-    return found
+            figures[f"K{number}"] = _of_sides(parts)
+    return figures
 
 
 def _of_sides(parts: dict[str, Figure]) -> Figure:

@@ -123,11 +123,11 @@ def play_range(groups: Sequence[LoopGroup]) -> tuple[Figure, Figure] | None:
 
     Of the groups that reach `ALIKE` of the largest torque, as play depends on the load up to which it is extrapolated.
     """
-    largest = max((one.largest_torque for one in groups), default=0.0)
+    largest = max((group.largest_torque for group in groups), default=0.0)
     plays = [
-        one.friction_free.figures["play"]
-        for one in groups
-        if one.friction_free is not None and one.largest_torque > ALIKE * largest
+        group.friction_free.figures["play"]
+        for group in groups
+        if group.friction_free is not None and group.largest_torque > ALIKE * largest
     ]
     if len(plays) < 2:
         return None
@@ -145,17 +145,17 @@ def group_rows(groups: Sequence[LoopGroup]) -> list[list[str]]:
         return "" if figure is None else "{} ± {} {}".format(*in_field_units(figure))
 
     rows = []
-    for one in groups:
-        stiffness = one.figures.get("loading_stiffness")
+    for group in groups:
+        stiffness = group.figures.get("loading_stiffness")
         over = "" if stiffness is None or stiffness.interval is None else "{:g} … {:g} N·m".format(*stiffness.interval)
-        play = None if one.friction_free is None else one.friction_free.figures["play"]
+        play = None if group.friction_free is None else group.friction_free.figures["play"]
         rows.append(
             [
-                Path(one.source).name,
-                "" if one.group is None else f"{one.group:g}",
-                f"{one.largest_torque:.4g} N·m",
-                f"{one.loops_used} of {one.loops_found}",
-                shown(one.figures.get("hysteresis_loss")),
+                Path(group.source).name,
+                "" if group.group is None else f"{group.group:g}",
+                f"{group.largest_torque:.4g} N·m",
+                f"{group.loops_used} of {group.loops_found}",
+                shown(group.figures.get("hysteresis_loss")),
                 shown(play),
                 f"{shown(stiffness)} {f'({over})' if over else ''}",
             ]

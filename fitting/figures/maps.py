@@ -110,10 +110,10 @@ def maps(
     given: list[Source] = each_source(recordings)
     points: list[_Point] = []
     notes: list[str] = []
-    for number, (found, said) in enumerate(_taken(given, ratio), start=1):
+    for number, (values, remarks) in enumerate(_taken(given, ratio), start=1):
         progress(f"recording {number} of {len(given)}")
-        points += found
-        notes += said
+        points += values
+        notes += remarks
     if not points:
         raise edge.NoDataError(" ".join(["no recording has a curve over a whole output turn.", *notes[:3]]))
     ratios: dict[float, str] = {}
@@ -145,7 +145,7 @@ def _points(source: Source, ratio: float | None) -> tuple[list[_Point], list[str
         if surveyed.loops is not None:
             notes.append(f"{surveyed.source}: loops are not used for maps.")
         table = str(source.path) if isinstance(source, RecordingFile) else surveyed.source
-        return [_point(one, table) for one in surveyed.curves], notes
+        return [_point(curve, table) for curve in surveyed.curves], notes
     except edge.InputError as problem:
         return [], [*notes, f"{problem} It is not in the maps."]
 
@@ -223,11 +223,11 @@ def _named_orders(points: Sequence[_Point], ratio: float, drive: Drive | None) -
 def _dataset(points: Sequence[_Point], ratio: float, drive: Drive | None, notes: list[str]) -> xr.Dataset:
     import xarray as xr
 
-    way = np.array([p.direction for p in points])
+    direction = np.array([p.direction for p in points])
     load = np.array([p.condition[0] for p in points])
-    turned = np.sign(load) * way
-    with_motion = bool((way > 0).any() and (way < 0).any() and (turned == turned[0]).all() and turned[0])
-    sign = np.sign(load) if with_motion else np.ones(way.size)
+    turned = np.sign(load) * direction
+    with_motion = bool((direction > 0).any() and (direction < 0).any() and (turned == turned[0]).all() and turned[0])
+    sign = np.sign(load) if with_motion else np.ones(direction.size)
     axes, at = _axes(points, sign)
     shape = (*(a.size for a in axes), 2)
     count = np.zeros(shape, np.int64)

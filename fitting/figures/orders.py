@@ -16,7 +16,7 @@ def order_rows(runs: Sequence[RunOrders]) -> list[list[str]]:
     """Return the rows of a table, for people, of the largest orders of each direction's run with the largest."""
     rows = []
     for direction in (1, -1):
-        of_way = [one for one in runs if one.direction == direction and one.orders]
+        of_way = [run for run in runs if run.direction == direction and run.orders]
         if not of_way:
             continue
         largest = max(of_way, key=lambda one: one.orders[0].amplitude)

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from cycloid_fmu.draw.figure import new_figure, show_legend
-from fitting.reports.panels import Panel, names_above, x_range
+from fitting.reports.panels import Panel, Trace, names_above, x_range
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,32 +21,37 @@ _HEIGHT, _ROW, _ROWS = 2.4, 0.22, 0.9  # inches: a panel, one of its names, and 
 _FEW_DECADES = 300.0  # largest over smallest value of a logarithmic axis, below which 1, 2 and 5 are labelled
 
 
+def _draw_trace(axis: Axes, trace: Trace, *, named: bool) -> None:
+    """Draw a line, points, words or a band, with the names of points beside them if `named`."""
+    colour = "0.45" if trace.colour < 0 else f"C{trace.colour % 10}"
+    if trace.style == "points":
+        size, colour = (4.0, "0") if trace.texts else (1.0, "0.45")
+        axis.plot(trace.x, trace.y, ".", ms=size, color=colour, label=trace.label or None)
+        for x, y, text in zip(trace.x, trace.y, trace.texts if named else (), strict=False):
+            axis.annotate(text, (x, y), (0, 3), textcoords="offset points", rotation=60, fontsize=7)
+        return
+    if trace.style in ("dots", "circles"):
+        fill = "white" if trace.style == "circles" else colour
+        size = _DOT if trace.x.size < _MANY else _DOT / 3.0
+        axis.plot(trace.x, trace.y, "o", ms=size, color=colour, mfc=fill, label=trace.label or None)
+        return
+    if trace.style == "band":
+        axis.fill(trace.x, trace.y, color=colour, alpha=0.25, lw=0, label=trace.label or None)
+        return
+    if trace.style == "words":
+        axis.plot(trace.x, trace.y, " ")  # texts do not extend the axes
+        for x, y, text in zip(trace.x, trace.y, trace.texts, strict=True):
+            axis.annotate(text, (x, y), ha="center", va="center", fontsize=7)
+        return
+    style, width = "--" if trace.style == "dashed" else "-", _WIDTHS[trace.style]
+    cap = "butt" if trace.style == "thick" else "projecting"  # a bar is as long as its value
+    axis.plot(trace.x, trace.y, style, lw=width, solid_capstyle=cap, color=colour, label=trace.label or None)
+
+
 def draw_panel(axis: Axes, panel: Panel) -> None:
     """Draw one panel of a report."""
     for trace in panel.traces:
-        colour = "0.45" if trace.colour < 0 else f"C{trace.colour % 10}"
-        if trace.style == "points":
-            size, colour = (4.0, "0") if trace.texts else (1.0, "0.45")
-            axis.plot(trace.x, trace.y, ".", ms=size, color=colour, label=trace.label or None)
-            for x, y, text in zip(trace.x, trace.y, () if panel.log_x else trace.texts, strict=False):
-                axis.annotate(text, (x, y), (0, 3), textcoords="offset points", rotation=60, fontsize=7)
-            continue
-        if trace.style in ("dots", "circles"):
-            fill = "white" if trace.style == "circles" else colour
-            size = _DOT if trace.x.size < _MANY else _DOT / 3.0
-            axis.plot(trace.x, trace.y, "o", ms=size, color=colour, mfc=fill, label=trace.label or None)
-            continue
-        if trace.style == "band":
-            axis.fill(trace.x, trace.y, color=colour, alpha=0.25, lw=0, label=trace.label or None)
-            continue
-        if trace.style == "words":
-            axis.plot(trace.x, trace.y, " ")  # texts do not extend the axes
-            for x, y, text in zip(trace.x, trace.y, trace.texts, strict=True):
-                axis.annotate(text, (x, y), ha="center", va="center", fontsize=7)
-            continue
-        style, width = "--" if trace.style == "dashed" else "-", _WIDTHS[trace.style]
-        cap = "butt" if trace.style == "thick" else "projecting"  # a bar is as long as its value
-        axis.plot(trace.x, trace.y, style, lw=width, solid_capstyle=cap, color=colour, label=trace.label or None)
+        _draw_trace(axis, trace, named=not panel.log_x)
     axis.set(xlabel=panel.x_label, ylabel=panel.y_label)
     if panel.from_zero:
         ends = [float(end(t.y[np.isfinite(t.y)], initial=0.0)) for t in panel.traces for end in (np.min, np.max)]

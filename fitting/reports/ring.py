@@ -26,8 +26,8 @@ _TITLES = {
 
 def ring_panel(ring: Realised) -> Panel:
     """Return the panel of circles of pins and teeth side by side, with displacements drawn outwards and enlarged."""
-    values = np.array([one.value for one in ring.elements]) * 1e6
-    ends = np.array([one.interval for one in ring.elements]) * 1e6
+    values = np.array([element.value for element in ring.elements]) * 1e6
+    ends = np.array([element.interval for element in ring.elements]) * 1e6
     told = bool(np.isfinite(ends).all())
     largest = max(float(np.abs(ends if told else values).max()), 1e-3)
     step = next(s * 10.0**p for p in range(-3, 7) for s in _STEPS if 3.0 * s * 10.0**p >= largest)

@@ -210,7 +210,7 @@ def curves_json(curves: Sequence[Curve]) -> dict[str, Any]:
     """Return curves and their notes as JSON data for scripts, SI."""
     data = curves_dataset(curves)
     numbers = {str(name): values.values for name, values in {**data.coords, **data.data_vars}.items()}
-    return {**numbers, "notes": [note for one in curves for note in one.notes]}
+    return {**numbers, "notes": [note for curve in curves for note in curve.notes]}
 
 
 def write_curves(curves: Sequence[Curve], path: str | os.PathLike[str]) -> None:

@@ -136,7 +136,7 @@ def loop_groups(recording: Recording, ratio: float | None) -> list[LoopData]:
 
 def positions_of(groups: Sequence[LoopData]) -> tuple[list[LoopData], list[LoopData]]:
     """Return the loops of the largest size at each position, in the order of time, and the smaller groups."""
-    largest = max((one.rated_torque for one in groups), default=0.0)
-    large = [one for one in groups if one.rated_torque > ALIKE * largest]
-    smaller = [one for one in groups if one.rated_torque <= ALIKE * largest]
+    largest = max((group.rated_torque for group in groups), default=0.0)
+    large = [group for group in groups if group.rated_torque > ALIKE * largest]
+    smaller = [group for group in groups if group.rated_torque <= ALIKE * largest]
     return sorted(large, key=lambda one: float(one.time[0])), smaller

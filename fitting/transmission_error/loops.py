@@ -144,10 +144,10 @@ def sample_noise(values: Array) -> float:
     return float(np.median(np.abs(np.diff(values, 2)))) / (0.6745 * math.sqrt(6.0))
 
 
-def residual_variance(left: Array, degrees: int) -> float:
+def residual_variance(residual: Array, degrees: int) -> float:
     """Return the variance of a fit's residuals, increased for the correlation of neighbours; 0 without a residual."""
-    n, square = left.size, float(left @ left)
-    alike = float(left[1:] @ left[:-1]) / max(square, 1e-300) if n > 3 else 0.0
+    n, square = residual.size, float(residual @ residual)
+    alike = float(residual[1:] @ residual[:-1]) / max(square, 1e-300) if n > 3 else 0.0
     alike = min(max(alike, 0.0), 1.0 - 2.0 / n)
     return square / degrees * (1.0 + alike) / (1.0 - alike)
 
@@ -206,14 +206,14 @@ def loops_of(
     turned = float(np.ptp(recording.output_angle)) / (2.0 * np.pi)
     if locked and turned * (1.0 if recording.locked else abs(ratio or 1.0)) > 1.0:
         if recording.locked:
-            said = (
+            text = (
                 f"the {recording.locked} is stated to be locked, but the angle spans {turned:.3g} turns of the output"
             )
             most = "more than any windup"
         else:
-            said = f"{at_rest}, but the output turns by {turned:.3g} turns"
+            text = f"{at_rest}, but the output turns by {turned:.3g} turns"
             most = "more than that of a drive with a locked input"
-        return None, [f"{recording.source}: {said}, {most}: there is neither a loop nor a transmission error."]
+        return None, [f"{recording.source}: {text}, {most}: there is neither a loop nor a transmission error."]
     largest = float(np.abs(torque).max())
     if not largest > 0.0:  # none, or unknown
         return None, []

@@ -111,8 +111,8 @@ def passes_of(data: LoopData) -> list[Pass]:
     signs = [np.sign(torque[at]) for at in peaks]
     ways = [int(sign) for sign in [*signs, -signs[-1]]]
     return [
-        pass_of(data.time[a:b], torque[a:b], data.windup[a:b], way)
-        for a, b, way in zip(ends[:-1], ends[1:], ways, strict=True)
+        pass_of(data.time[a:b], torque[a:b], data.windup[a:b], direction)
+        for a, b, direction in zip(ends[:-1], ends[1:], ways, strict=True)
         if b - a >= FEWEST
     ]
 
@@ -149,9 +149,9 @@ def mid_curve(passes: Sequence[Pass], drift: float, middle: float) -> MidCurve |
         Rate of the drift, rad/s, and the time at which it is zero, s.
     """
     placed = {1: list[tuple[Array, Array]](), -1: list[tuple[Array, Array]]()}
-    for one in passes:
-        windup = np.maximum.accumulate(one.windup - drift * (one.time - middle))
-        placed[one.direction].append((windup, one.torque))
+    for loop_pass in passes:
+        windup = np.maximum.accumulate(loop_pass.windup - drift * (loop_pass.time - middle))
+        placed[loop_pass.direction].append((windup, loop_pass.torque))
     if not all(placed.values()):
         return None
     low = max(min(w[0] for w, _ in curves) for curves in placed.values())
@@ -243,9 +243,9 @@ def evaluated(data: LoopData) -> Evaluation | None:
     None too where the friction without load exceeds the spring's largest torque: such loops are too small.
     """
     passes = passes_of(data)
-    if len({one.direction for one in passes}) < 2:
+    if len({loop_pass.direction for loop_pass in passes}) < 2:
         return None
-    middle, drift = float(np.mean([one.time.mean() for one in passes])), drift_rate(passes)
+    middle, drift = float(np.mean([loop_pass.time.mean() for loop_pass in passes])), drift_rate(passes)
     curve = mid_curve(passes, drift, middle)
     if curve is None:
         return None

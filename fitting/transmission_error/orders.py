@@ -179,10 +179,10 @@ class _Turns:
 
     def _projected(self, values: Array) -> Array:
         """Remove the mean over turns and the line over turns at each step."""
-        place = self._at[1]
-        left = values - self.mean(values)[place]
-        left -= self._turn * (np.bincount(place, self._turn * left, self.each) / self._squares)[place]
-        found: Array = np.where(self._used, left, 0.0)
+        index = self._at[1]
+        residual = values - self.mean(values)[index]
+        residual -= self._turn * (np.bincount(index, self._turn * residual, self.each) / self._squares)[index]
+        found: Array = np.where(self._used, residual, 0.0)
         return found
 
     def wave(self, order: float) -> Complex:
@@ -298,8 +298,8 @@ class _Waves:
         normal = columns @ columns.T
         found = np.linalg.lstsq(normal, columns @ turns.rest, rcond=1e-12)[0]
         self.coefficient = [complex(a, b) for a, b in found.reshape(-1, 2)]
-        left: Array = turns.rest - found @ columns
-        return left
+        residual: Array = turns.rest - found @ columns
+        return residual
 
     def refine(self, which: Sequence[int], rest: Array) -> None:
         """Move free orders by a Gauss-Newton step each, at most half a line; `rest` is that of `rest`."""
@@ -383,9 +383,9 @@ def _search(waves: _Waves, least: float) -> tuple[Array, _Floor]:
     return rest, _floor(turns, rest)
 
 
-def _with_tied(found: list[Order], span: float) -> list[Order]:
+def _with_tied(orders: list[Order], span: float) -> list[Order]:
     """Give multiples that were fitted at multiples of a found order the uncertainty of it."""
-    free = [one for one in found if one.order_uncertainty > 0.0]
+    free = [one for one in orders if one.order_uncertainty > 0.0]
     return [
         next(
             (
@@ -398,7 +398,7 @@ def _with_tied(found: list[Order], span: float) -> list[Order]:
             ),
             one,
         )
-        for one in found
+        for one in orders
     ]
 
 
@@ -493,7 +493,7 @@ def _keep_significant(waves: _Waves, floor: _Floor) -> None:
 
 def _measured(waves: _Waves, floor: _Floor) -> list[Order]:
     """Return the waves as orders with uncertainties, which contain that of the noise around each."""
-    found = []
+    orders = []
     turns, factor = waves.turns, float(stdtrit(floor.degrees, 0.975))
     for order, coefficient, covariance in zip(waves.orders, waves.coefficient, waves.covariance(), strict=True):
         # A line's amplitude has 4/samples of the variance of the steps.
@@ -502,12 +502,12 @@ def _measured(waves: _Waves, floor: _Floor) -> list[Order]:
         along = np.array([coefficient.real, coefficient.imag, 0.0]) / size
         across = np.array([-coefficient.imag / size**2, coefficient.real / size**2, -turns.middle])
         half, turned, moved = (
-            factor * math.sqrt(max(float(way @ covariance @ way), 0.0))
-            for way in (along, across, np.array([0.0, 0.0, 1.0]))
+            factor * math.sqrt(max(float(direction @ covariance @ direction), 0.0))
+            for direction in (along, across, np.array([0.0, 0.0, 1.0]))
         )
         phase = float(np.angle(turns.at_zero(order, coefficient)))
-        found.append(Order(float(order), size, half, phase, min(turned, math.pi), "", moved))
-    return found
+        orders.append(Order(float(order), size, half, phase, min(turned, math.pi), "", moved))
+    return orders
 
 
 def _multiple(order: float, base: float, within: float) -> bool:
@@ -515,10 +515,10 @@ def _multiple(order: float, base: float, within: float) -> bool:
     return abs(order - times * base) < within
 
 
-def _named(one: Order, bases: Mapping[str, float], span: float) -> Order:
+def _named(order: Order, bases: Mapping[str, float], span: float) -> Order:
     """Return an order with the stated cause that it is a multiple of."""
-    names = [name for name, base in bases.items() if _multiple(one.order, base, 1.0 / span)]
-    return dataclasses.replace(one, source=" or ".join(names))
+    names = [name for name, base in bases.items() if _multiple(order.order, base, 1.0 / span)]
+    return dataclasses.replace(order, source=" or ".join(names))
 
 
 def _without(waves: _Waves, coefficient: Complex) -> Complex:
@@ -560,57 +560,57 @@ def _turn_averaging(turns: _Turns, waves: _Waves) -> TurnAveraging | None:
     )
 
 
-def averaging_note(found: RunOrders) -> list[str]:
+def averaging_note(run_orders: RunOrders) -> list[str]:
     """Return a sentence on what averaging over turns removed from a run, if it is not little.
 
     That is if orders that are not whole were found, or if it is a tenth of the variance.
     """
-    averaging = found.turn_averaging
+    averaging = run_orders.turn_averaging
     if averaging is None:
         return []
-    others = [one for one in found.orders if not one.whole]
+    others = [order for order in run_orders.orders if not order.whole]
     if not others and averaging.variance_share_removed < 0.1:
         return []
     unit = 10800.0 / math.pi
-    said = ""
+    text = ""
     if others:
         listed = ", ".join(
-            f"{one.order:.4g}{f' ({one.source})' if one.source else ''} {one.amplitude * unit:.2g}′"
-            for one in others[:6]
+            f"{other.order:.4g}{f' ({other.source})' if other.source else ''} {other.amplitude * unit:.2g}′"
+            for other in others[:6]
         )
         more = f" and {len(others) - 6} more" if len(others) > 6 else ""
-        said = f"; {averaging.variance_share_of_other_orders:.0%} is in orders that are no whole number: {listed}{more}"
-        if not all(one.source for one in others):
-            said += " (of a belt or gears beside the drive, of another shaft, or of a disturbance in time)"
+        text = f"; {averaging.variance_share_of_other_orders:.0%} is in orders that are no whole number: {listed}{more}"
+        if not all(other.source for other in others):
+            text += " (of a belt or gears beside the drive, of another shaft, or of a disturbance in time)"
     return [
-        f"{found.run}: averaging over {found.turns:.4g} turns removed {averaging.variance_share_removed:.0%} of the "
-        f"variance of the transmission error{said}. Peak to peak it is "
+        f"{run_orders.run}: averaging over {run_orders.turns:.4g} turns removed {averaging.variance_share_removed:.0%} "
+        f"of the variance of the transmission error{text}. Peak to peak it is "
         f"{averaging.peak_to_peak_of_all_turns * unit:.3g}′ over all turns, "
         f"{averaging.peak_to_peak_of_one_turn * unit:.3g}′ in one turn and "
         f"{averaging.peak_to_peak_of_the_mean * unit:.3g}′ in their mean."
     ]
 
 
-def orders_json(found: RunOrders) -> dict[str, Any]:
+def orders_json(run_orders: RunOrders) -> dict[str, Any]:
     """Return the orders of a run as a part of a `cycloid-figures/1` file (SI)."""
-    averaging = found.turn_averaging
+    averaging = run_orders.turn_averaging
     return {
-        "run": found.run,
-        "direction": "forward" if found.direction > 0 else "backward",
-        "turns": found.turns,
-        "searched": found.searched,
+        "run": run_orders.run,
+        "direction": "forward" if run_orders.direction > 0 else "backward",
+        "turns": run_orders.turns,
+        "searched": run_orders.searched,
         "orders": [
             {
-                "order": int(one.order) if one.whole else one.order,
-                "order_uncertainty": one.order_uncertainty,
-                "amplitude": one.amplitude,
-                "uncertainty": one.uncertainty,
+                "order": int(order.order) if order.whole else order.order,
+                "order_uncertainty": order.order_uncertainty,
+                "amplitude": order.amplitude,
+                "uncertainty": order.uncertainty,
                 "unit": "rad",
-                "phase": one.phase,
-                "phase_uncertainty": one.phase_uncertainty,
-                "source": one.source,
+                "phase": order.phase,
+                "phase_uncertainty": order.phase_uncertainty,
+                "source": order.source,
             }
-            for one in found.orders
+            for order in run_orders.orders
         ],
         "turn_averaging": None if averaging is None else vars(averaging) | {"unit": "rad"},
     }

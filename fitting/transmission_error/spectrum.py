@@ -100,10 +100,10 @@ def spectrum(curve: Curve) -> Spectrum:
         points = curve.input_angle.size
         shift = float(curve.input_angle[0]) - 0.5 * turn / points
     scale = 1.0 / abs(curve.ratio)  # from crank angles to those of the output turn
-    place = np.mod(curve.input_angle - shift, turn) * scale
-    variance = np.zeros(place.size) if curve.angle_variance is None else curve.angle_variance * scale**2
+    position = np.mod(curve.input_angle - shift, turn) * scale
+    variance = np.zeros(position.size) if curve.angle_variance is None else curve.angle_variance * scale**2
     while True:
-        gathered = _gridded(place, curve.transmission_error, variance, curve.sample_count.astype(float), points)
+        gathered = _gridded(position, curve.transmission_error, variance, curve.sample_count.astype(float), points)
         filled = gathered[3]
         if np.count_nonzero(filled) >= (1.0 - _HOLES) * points or points <= 64:
             break
@@ -194,18 +194,18 @@ def synthesised(coefficient: NDArray[np.complex128], points: int) -> Array:
 
 
 def _gridded(
-    place: Array, error: Array, variance: Array, weight: Array, points: int
+    position: Array, error: Array, variance: Array, weight: Array, points: int
 ) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
     """Gather points on an even grid of the output turn: mean error, mean and variance of the angle within, filled.
 
     All results have shape (points,); angles are relative to the centre of each grid cell, rad of the output.
     """
     spacing = 2.0 * np.pi / points
-    number = np.minimum((place / spacing + 1e-9).astype(np.int64), points - 1)
+    number = np.minimum((position / spacing + 1e-9).astype(np.int64), points - 1)
     total = np.bincount(number, weight, points)
     filled = total > 0.0
     total[~filled] = 1.0
-    offset = place - (number + 0.5) * spacing
+    offset = position - (number + 0.5) * spacing
     inside = np.bincount(number, weight * offset, points) / total
     second = np.bincount(number, weight * (offset**2 + variance), points) / total
     value = np.bincount(number, weight * error, points) / total
@@ -295,14 +295,14 @@ def _parabola_top(before: Array, peak: Array, after: Array) -> Array:
 def _top_near(coefficient: NDArray[np.complex128], coarse: NDArray[np.int64], points: int) -> float:
     """Return `_top` of a curve whose peak is next to one of the `coarse` points, indices of every eighth point."""
     around = np.arange(-_COARSER - 1, _COARSER + 2)
-    place = np.unique(_COARSER * coarse[:, None] + around)
-    if place.size > points // 512:
+    index = np.unique(_COARSER * coarse[:, None] + around)
+    if index.size > points // 512:
         return float(_top(synthesised(coefficient[None], points))[0])
     # Sum over orders k = 128 i + j as a double sum: as many products as orders, but few sines.
     blocks = -(-coefficient.size // 128)
     table = np.zeros((blocks, 128), complex)
     table.ravel()[: coefficient.size] = coefficient
-    angle = place * (2.0 * np.pi / points)
+    angle = index * (2.0 * np.pi / points)
     # No matrix product: BLAS would start all processors for these few numbers, which takes ten times as long.
     inner = np.einsum("pj,ij->pi", np.exp(1j * np.multiply.outer(angle, np.arange(128))), table)
     values = (inner * np.exp(1j * np.multiply.outer(angle, 128 * np.arange(blocks)))).sum(axis=1).real
