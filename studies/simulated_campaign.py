@@ -12,7 +12,7 @@ import second_drive
 import fitting
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.geometry.pair import Pair
-from fitting.figures.spectrum import order_name, significant, spectrum
+from fitting.transmission_error.spectrum import order_name, significant, spectrum
 
 ARCSEC = np.pi / 648000
 TEETH, PINS = 11, 12

@@ -241,15 +241,14 @@ class AsciiCounter(SerialEncoder):
         )
         wrong = there & ~right
         late = right & np.array([line.late and "time" not in self._names for line in lines])
-        for which, what in (
-            (~there, "not as described"),
-            (wrong, "wrong checksum"),
-            (late, "delayed, so its time is unknown"),
-        ):
-            if which.any():
-                first = int(np.flatnonzero(which)[0])
-                shown = lines[first].text[:40].decode("ascii", "backslashreplace")
-                self.say(lines[first].time, f'{counted(int(which.sum()), "line")} lost: {what} ("{shown}")')
+        causes = {"not as described": ~there, "wrong checksum": wrong, "delayed, so its time is unknown": late}
+        shown = [line.text[:40] for line in lines]
+        self.say_lost(
+            "line",
+            [line.time for line in lines],
+            causes,
+            lambda k: f' ("{shown[k].decode("ascii", "backslashreplace")}")',
+        )
         shows_losses = self._shows_losses
         noted = np.array([line.noted and not shows_losses for line in lines])
         right &= ~late

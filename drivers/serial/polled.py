@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import abc
 import collections
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -90,6 +91,31 @@ class SerialEncoder(HubEncoder[PortHub]):
         """Add an event, and status bits for the next sample."""
         self._events.append(Event(time_host, self.name, text))
         self._pending |= status
+
+    def say_lost(
+        self,
+        what: str,
+        times: Sequence[float] | FloatArray,
+        causes: Mapping[str, npt.NDArray[np.bool_]],
+        shown: Callable[[int], str],
+    ) -> None:
+        """Add an event for each cause of losses, with the number of those lost and what came in the place of the first.
+
+        Parameters
+        ----------
+        what
+            What is lost: "reading", "line".
+        times
+            Time of each, s, shape (n,).
+        causes
+            {cause: mask of those lost by it, shape (n,)}.
+        shown
+            Returns what came in the place of number k.
+        """
+        for cause, lost in causes.items():
+            if lost.any():
+                first = int(np.flatnonzero(lost)[0])
+                self.say(times[first], f"{counted(int(lost.sum()), what)} lost: {cause}{shown(first)}")
 
     def marked(
         self, valid: npt.NDArray[np.intp], lost: npt.NDArray[np.bool_], wrong: npt.NDArray[np.bool_]
@@ -187,17 +213,15 @@ class PolledEncoder(SerialEncoder):
         if there.any():
             right[there] = self.checked([exchanges[i].answer for i in np.flatnonzero(there)])
         wrong = there & ~right
-        for which, what in (
-            (~there, "no answer"),
-            (wrong, f"wrong {self.checksum_name.replace(' are', '')}"),
-            (late & right, "it took too long, so its time is unknown"),
-        ):
-            if which.any():
-                first = int(np.flatnonzero(which)[0])
-                shown = f" (0x{exchanges[first].answer.hex()})" if exchanges[first].answer else ""
-                self.say(times[first], f"{counted(int(which.sum()), 'reading')} lost: {what}{shown}")
+        causes = {
+            "no answer": ~there,
+            f"wrong {self.checksum_name.replace(' are', '')}": wrong,
+            "it took too long, so its time is unknown": late & right,
+        }
+        answers = [exchange.answer for exchange in exchanges]
+        self.say_lost("reading", times, causes, lambda k: f" (0x{answers[k].hex()})" if answers[k] else "")
         valid = np.flatnonzero(right & ~late)
         self._lost += len(exchanges) - len(valid)
         noted = np.array([bool(e.note) for e in exchanges], bool)
         status = self.marked(valid, ~there | late | noted, wrong)
-        return times[valid], [exchanges[i].answer for i in valid], status
+        return times[valid], [answers[i] for i in valid], status

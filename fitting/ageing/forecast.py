@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import os
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -16,11 +18,12 @@ from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.surfaces.posterior import drawn_surfaces
+from cycloid_fmu.surfaces.surface import DEVIATIONS, Ageing, Life, surface_after
 from cycloid_fmu.wear.law import WearLaw, duty_cycle
+from cycloid_fmu.wear.life import LARGEST_LIFE
 from fitting.ageing.history import HOUR, History
-from fitting.ageing.life import FIGURES, LifeFigures, figures_of, life_figures, mean_figures
-from fitting.ageing.posterior import Measured, Posterior, Prior, posterior, scores
-from fitting.ageing.twin import aged_surface
+from fitting.ageing.life import FIGURES, LifeFigures, figures_of, largest_growth, life_figures, means_of
+from fitting.ageing.posterior import Measured, Mixture, Posterior, Prior, posterior, scores
 
 Array = NDArray[np.float64]
 FORMAT = "cycloid-forecast/1"
@@ -33,6 +36,10 @@ _TIMES = (0.05, 0.5, 0.95)  # probabilities of the remaining life
 _OFFSETS = {"lost_motion": 30.0, "backlash": 30.0, "angular_transmission_error": 10.0}  # arcsec, defaults
 _BEYOND = 2.3  # times the prior's 95 % interval (4.5 standard deviations): end of the computed life
 _DRAWS = 12  # of an identified drive, for the uncertainty of its figures when new
+_UNLIKELY = 0.01  # probability of wear beyond the computed life, from which on it is noted
+_NO_NEWS = 0.7  # of the prior's standard deviation of a factor: recordings that leave more of it hardly determine it
+INTERVAL = (0.025, 0.5, 0.975)
+"""Probabilities of a median and its 95 % interval."""
 _ROOM = 120.0  # arcsec: growth of the lost motion in a life without limits and recordings
 
 
@@ -122,31 +129,55 @@ class Forecast:
 
     def growth(self, probability: ArrayLike = 0.5) -> Array:
         """Return quantiles of the growth of the bearing's clearance, m/s; zero if none wears."""
-        prior = self.posterior.prior
-        if prior.growth == 0.0:
-            return np.zeros_like(np.asarray(probability, dtype=float))
-        return prior.growth * self.crank_turns_per_second * self.posterior.factor(probability, 1)
+        return self.posterior.prior.growth * self.crank_turns_per_second * self.posterior.factor(probability, -1)
 
     def at(self, figure: str, age: float, probability: ArrayLike = QUANTILES) -> Array:
         """Return quantiles of a figure at an age (s), rad."""
-        found = self.posterior.predicted(figure, age * self.crank_turns_per_second)
-        return np.array([found.quantile(float(p))[0] for p in np.ravel(probability)]).reshape(np.shape(probability))
+        figures = self.posterior.predicted(figure, age * self.crank_turns_per_second)
+        return np.asarray(np.vectorize(lambda p: float(figures.quantile(p)[0]))(probability))
 
     @property
     def aged(self) -> Drive:
         """The twin: the drive at the last recording, with its life from new to the forecast's end.
 
-        `Drive.at_age` returns the drive at any age, and `Drive.build_fmu` builds it at the last recording.
+        `Drive.at_age` returns the drive at any age, and `Drive.build_fmu` builds it at the last recording. The life
+        has the median wear coefficient, and ends at the forecast's end, or where the wear is no longer computed.
+
+        Raises
+        ------
+        edge.InputError
+            If the wear was not computed up to the last recording.
         """
-        surface = aged_surface(
+        after, prior, life, turning = (
             self.posterior,
-            self.drive.surface,
+            self.posterior.prior,
+            self.posterior.life,
             self.crank_turns_per_second,
-            self.now,
-            float(self.ages[-1]),
-            self.bearing,
         )
-        return Drive(self.drive.pair.nominal, surface)
+        surface, factors = self.drive.surface, after.factor(INTERVAL)
+        median, (low, high) = factors[1], np.clip(factors[[0, 2]] / factors[1], (0.0, 1.0), (1.0, np.inf))
+        turns = life.dose / (prior.coefficient * median)
+        largest, growth = min(self.ages[-1], turns[-1] / (turning * high)), float(self.growth())
+        if growth > 0.0:
+            largest = min(largest, largest_growth(surface.pair, self.bearing) / growth)
+        if largest < self.now:
+            raise edge.InputError(
+                f"The drive is worn deeper at {self.now / HOUR:g} h than computed: there is no twin of it; state "
+                "larger limits of the figures, or of the wear file's depth."
+            )
+        # States beyond the largest age are not needed; a worn surface has a limited number of them.
+        states = int(np.searchsorted(turns, largest * turning * high * (1.0 - 1e-9))) + 1
+        chosen = np.unique(np.linspace(0, min(states, turns.size) - 1, LARGEST_LIFE).round().astype(int))
+        worn = {n: np.stack([getattr(life.surfaces[k], n) for k in chosen]) for n in DEVIATIONS}
+        ageing = Ageing(turning, self.now, float(largest), float(low), float(high), growth, self.bearing)
+        surface = surface.replace(
+            **{name: values[-1] for name, values in worn.items()},
+            origin="worn",
+            covariance=None,
+            covariance_of=(),
+            life=Life(turns[chosen], *worn.values(), ageing=ageing),
+        )
+        return Drive(self.drive.pair.nominal, surface_after(surface, self.now * turning))
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write the forecast, `cycloid-forecast/1` (JSON), whole or not at all."""
@@ -216,198 +247,153 @@ def forecast(
     loads, _ = duty_cycle(law, history.torque, 1.0, None, source, drive.pair)
     per_second = history.crank_turns_per_hour / HOUR
     now = max((m.crank_turns for m in measured), default=0.0) / per_second
-    end = _end(until, now)
-    median, worn = law.coefficient or 1.0, history.bearing
-    growth = 0.0 if worn is None else worn.clearance_growth / worn.within / per_second
+    ages, bearing, limits = np.linspace(0.0, _end(until, now), _AGES), history.bearing, history.limits.stated()
+    turns = ages * per_second
+    prior = Prior(law.coefficient or 1.0, history.coefficient_factor, scatter=history.load_scatter)
+    prior = dataclasses.replace(prior, period=history.load_period * per_second)
+    if bearing is not None:
+        growth = bearing.clearance_growth / bearing.within / per_second
+        prior = dataclasses.replace(prior, growth=growth, growth_factor=bearing.factor)
     if life is None:
-        reach = [*history.limits.stated().values(), *(m.value for m in measured)]
-        most = {"dose": median * history.coefficient_factor**_BEYOND * end * per_second}
-        if worn is not None:
-            most["clearance"] = growth * worn.factor**_BEYOND * end * per_second
         life = life_figures(
             drive,
             law,
             loads,
-            **most,
-            growth=max(reach, default=_ROOM / edge.ARCSEC),
-            bearing=None if worn is None else worn.name,
+            prior.coefficient * prior.coefficient_factor**_BEYOND * turns[-1],
+            growth=max([*limits.values(), *(m.value for m in measured)], default=_ROOM / edge.ARCSEC),
+            bearing=None if bearing is None else bearing.name,
+            clearance=prior.growth * prior.growth_factor**_BEYOND * turns[-1],
             workers=workers,
             progress=lambda share: progress(0.9 * share),
         )
     heaviest = max((load.torque for load in loads), key=abs)
-    offset, factor = _offsets(drive, history, life, heaviest, workers), 10.0 if worn is None else worn.factor
-    period = history.load_period * per_second
-    prior = Prior(median, history.coefficient_factor, growth, factor, offset, history.load_scatter, period)
+    prior = dataclasses.replace(prior, offset=_offsets(drive, history, life, heaviest, workers or 1))
     after = posterior(life, prior, measured)
     progress(0.95)
-    ages = np.linspace(0.0, end, _AGES)
-    bands, remaining = _predicted(after, ages, per_second, {m.figure for m in measured}, history.limits.stated())
-    placed = scores(life, prior, measured)
+    shown = {FIGURES[0], *limits, *(m.figure for m in measured)}
+    predicted = {name: after.predicted(name, turns) for name in FIGURES if name in shown}
+    score = scores(life, prior, measured)
     progress(1.0)
     return Forecast(
         after,
         per_second,
         now,
         ages,
-        bands,
-        remaining,
-        placed,
-        _alarm(measured, placed, per_second),
-        _notes(after, ages[-1] * per_second),
+        {name: np.array([figure.quantile(p) for p in QUANTILES]) for name, figure in predicted.items()},
+        {name: _remaining(limit, predicted[name], ages) for name, limit in limits.items()},
+        score,
+        _alarm(np.array([m.crank_turns for m in measured]) / per_second, score),
+        _notes(after, turns[-1]),
         drive,
-        "" if worn is None else worn.name,
+        "" if bearing is None else bearing.name,
     )
 
 
 def _end(until: float | None, now: float) -> float:
     """Return the age at the end of the forecast, s, from the stated one and that of the last recording."""
     if until is None and now == 0.0:
-        raise edge.ArgumentError(
-            "until", "is missing; there is no recording of a drive in use, whose age it could double"
-        )
-    end = until if until is not None else 2.0 * now
-    if not end > now or not math.isfinite(end):
-        raise edge.ArgumentError(
-            "until", f"it must lie after the last recording, {now / HOUR:g} h", f"{end / HOUR:g} h"
-        )
+        problem = "is missing; there is no recording of a drive in use, whose age it could double"
+        raise edge.ArgumentError("until", problem)
+    end = 2.0 * now if until is None else until
+    if not now < end < math.inf:
+        problem = f"it must lie after the last recording, {now / HOUR:g} h"
+        raise edge.ArgumentError("until", problem, f"{end / HOUR:g} h")
     return end
 
 
-def _offsets(drive: Drive, history: History, life: LifeFigures, torque: float, workers: int | None) -> dict[str, float]:
-    """Return the standard deviation of each figure's offset from the model, rad."""
-    stated, unresolved = history.offsets.stated(), _left_open(drive, torque, workers)
-    return {
-        name: math.hypot(stated.get(name, _OFFSETS[name] / edge.ARCSEC), life.scatter[name], unresolved[name])
-        for name in FIGURES
-    }
+def _offsets(drive: Drive, history: History, life: LifeFigures, torque: float, workers: int) -> dict[str, float]:
+    """Return the standard deviation of each figure's offset from the model, rad, with that of a fit's covariance."""
+    offsets = {**{name: value / edge.ARCSEC for name, value in _OFFSETS.items()}, **history.offsets.stated()}
+    drawn = []
+    if drive.surface.covariance is not None:
+        for surface in drawn_surfaces(drive.pair, drive.surface, _DRAWS, 0):
+            drawn.append(means_of(figures_of(DriveValue(drive.pair, surface), torque, workers)))
+    fitted = {name: float(np.std([means[name] for means in drawn], ddof=1)) if drawn else 0.0 for name in FIGURES}
+    return {name: math.hypot(offsets[name], life.scatter[name], fitted[name]) for name in FIGURES}
 
 
-def _predicted(
-    after: Posterior, ages: Array, per_second: float, measured: Collection[str], limits: Mapping[str, float]
-) -> tuple[dict[str, Array], dict[str, Remaining]]:
-    """Return the bands of lost motion and all figures measured or limited, and the remaining life of the limited."""
-    bands, remaining = {}, {}
-    for name in FIGURES:
-        if name not in measured and name not in limits and name != FIGURES[0]:
-            continue
-        mixture = after.predicted(name, ages * per_second)
-        bands[name] = np.array([mixture.quantile(p) for p in QUANTILES])
-        if name in limits:
-            remaining[name] = _remaining(limits[name], 1.0 - mixture.below(limits[name]), ages)
-    return bands, remaining
-
-
-def _left_open(drive: Drive, torque: float, workers: int | None) -> dict[str, float]:
-    """Return the standard deviation of the figures when new from a fit's covariance, rad."""
-    if drive.surface.covariance is None:
-        return dict.fromkeys(FIGURES, 0.0)
-    drawn = drawn_surfaces(drive.pair, drive.surface, _DRAWS, 0)
-    found = [mean_figures(figures_of(DriveValue(drive.pair, one), torque, workers or 1)) for one in drawn]
-    return {name: float(np.std([one[name] for one in found], ddof=1)) for name in FIGURES}
-
-
-def _remaining(limit: float, beyond: Array, ages: Array) -> Remaining:
+def _remaining(limit: float, figure: Mixture, ages: Array) -> Remaining:
     """Return when a limit is exceeded: wear is irreversible, so the probability never decreases."""
-    probability = np.maximum.accumulate(beyond)
-    found: dict[float, float] = {}
-    for wanted in _TIMES:
-        at = int(np.searchsorted(probability, wanted))
-        if at == ages.size:
-            found[wanted] = math.inf
-        elif at == 0:
-            found[wanted] = float(ages[0])
-        else:
-            low, high = probability[at - 1], probability[at]
-            found[wanted] = float(ages[at - 1] + (wanted - low) / (high - low) * (ages[at] - ages[at - 1]))
-    return Remaining(limit, probability, found)
+    beyond = np.maximum.accumulate(1.0 - figure.below(limit))
+    return Remaining(limit, beyond, {p: float(np.interp(p, beyond, ages, right=math.inf)) for p in _TIMES})
 
 
-def _alarm(measured: Sequence[Measured], placed: Array, per_second: float) -> Alarm | None:
+def _alarm(ages: Array, score: Array) -> Alarm | None:
     """Return the consecutive recordings with the largest contradiction to the model, if chance hardly explains it.
 
     Of every run of figures in a row the mean score times the root of its number is a standard normal number; the
     probabilities of all runs add up (Bonferroni).
     """
-    total = np.concatenate([[0.0], np.cumsum(placed)])
-    best, where = 0.0, (0, 0)
-    for first in range(placed.size):
-        for last in range(first + 1, placed.size + 1):
-            score = float((total[last] - total[first]) / math.sqrt(last - first))
-            if abs(score) > abs(best):
-                best, where = score, (first, last)
-    runs = placed.size * (placed.size + 1) / 2.0
-    chance = min(1.0, 2.0 * runs * math.exp(float(log_ndtr(-abs(best)))))
-    if placed.size == 0 or chance >= ALARM:
+    total = np.concatenate([[0.0], np.cumsum(score)])
+    runs = {(a, b): float(total[b] - total[a]) / math.sqrt(b - a) for a, b in combinations(range(total.size), 2)}
+    (first, end), largest = max(runs.items(), key=lambda run: abs(run[1]), default=((0, 0), 0.0))
+    chance = min(1.0, 2.0 * len(runs) * math.exp(float(log_ndtr(-abs(largest)))))
+    if not runs or chance >= ALARM:
         return None
-    begun, ended = (measured[k].crank_turns / per_second for k in (where[0], where[1] - 1))
+    begun, ended = float(ages[first]), float(ages[end - 1])
     when = f"from {begun / HOUR:.6g} h to {ended / HOUR:.6g} h" if begun < ended else f"at {begun / HOUR:.6g} h"
-    how = "faster" if best > 0.0 else "more slowly"
-    why = "wear may be running away" if best > 0.0 else "the drive, its zero or its bench may have changed"
+    how, why = (
+        ("faster", "wear may be running away")
+        if largest > 0.0
+        else ("more slowly", "the drive, its zero or its bench may have changed")
+    )
     sentence = (
         f"Alarm: the figures {when} contradict the model; they grow {how} than predicted from the earlier ones (score "
-        f"{best:.1f}, chance {chance:.1g}): {why}, and the forecast is not valid."
+        f"{largest:.1f}, chance {chance:.1g}): {why}, and the forecast is not valid."
     )
-    return Alarm(begun, ended, best, chance, sentence)
+    return Alarm(begun, ended, largest, chance, sentence)
 
 
 def _notes(after: Posterior, turns: float) -> tuple[str, ...]:
     """Return notes on extrapolation, and on factors with little information from the recordings."""
-    notes = []
-    prior, life = after.prior, after.life
-    beyond = float(after.weight[prior.coefficient * np.exp(after.logs[:, 0]) * turns > life.dose[-1]].sum())
-    if beyond > 0.01:
-        notes.append(
-            f"With a probability of {beyond:.0%} the wear at the forecast's end is deeper than computed; figures are "
-            "extrapolated linearly there."
-        )
-    if prior.growth > 0.0:
-        grown = prior.growth * np.exp(after.logs[:, 1]) * turns
-        if float(after.weight[grown > life.clearance[-1]].sum()) > 0.01:
+    notes, prior, life = [], after.prior, after.life
+    factors = (
+        ("wear", "wear coefficient", prior.coefficient * turns, life.dose[-1]),
+        ("bearing's clearance", "growth of the clearance", prior.growth * turns, life.clearance[-1]),
+    )
+    for (name, unknown, median, computed), logs, before in zip(factors, after.logs.T, prior.deviations, strict=False):
+        beyond = float(after.weight[median * np.exp(logs) > computed].sum())
+        if beyond > _UNLIKELY:
             notes.append(
-                "The clearance may grow beyond the largest computed one; figures are extrapolated linearly there."
+                f"With a probability of {beyond:.0%} the {name} at the forecast's end is larger than computed; figures "
+                "are extrapolated linearly there."
             )
-    names = ["wear coefficient", "growth of the clearance"]
-    for number, before in enumerate(prior.deviations):
-        about = math.sqrt(float(after.weight @ (after.logs[:, number] - after.weight @ after.logs[:, number]) ** 2))
-        if about > 0.7 * before:
-            notes.append(
-                f"The recordings hardly determine the {names[number]}: it is nearly as uncertain as before them."
-            )
+        if math.sqrt(float(after.weight @ (logs - after.weight @ logs) ** 2)) > _NO_NEWS * before:
+            notes.append(f"The recordings hardly determine the {unknown}: it is nearly as uncertain as before them.")
     return tuple(notes)
 
 
-def as_json(found: Forecast) -> dict[str, Any]:
+def as_json(result: Forecast) -> dict[str, Any]:
     """Return a forecast as the content of a `cycloid-forecast/1` file (SI)."""
-    after = found.posterior
-    levels = {f"{p:g}": k for k, p in enumerate(QUANTILES)}
-    grown = (
-        {}
-        if after.prior.growth == 0.0
-        else {"clearance_growth": dict(zip(levels, found.growth(QUANTILES), strict=True))}
-    )
+
+    def levels(values: Array) -> dict[str, Any]:
+        return dict(zip(map("{:g}".format, QUANTILES), values, strict=True))
+
+    factor, measured = result.posterior.factor, result.posterior.measured
+    growth = {"clearance_growth": levels(result.growth(QUANTILES))} if result.bearing else {}
     return {
         "format": FORMAT,
-        "holds": found.alarm is None,
-        "alarm": None if found.alarm is None else vars(found.alarm),
-        "wear_coefficient": dict(zip(levels, found.coefficient(QUANTILES), strict=True)),
-        "wear_factor": dict(zip(levels, after.factor(QUANTILES) / after.factor(0.5), strict=True)),
-        **grown,
-        "bearing": found.bearing or None,
-        "crank_turns_per_second": found.crank_turns_per_second,
-        "now": found.now,
-        "ages": found.ages,
-        "bands": {name: {p: band[k] for p, k in levels.items()} for name, band in found.bands.items()},
+        "holds": result.alarm is None,
+        "alarm": None if result.alarm is None else vars(result.alarm),
+        "wear_coefficient": levels(result.coefficient(QUANTILES)),
+        "wear_factor": levels(factor(QUANTILES) / factor(0.5)),
+        **growth,
+        "bearing": result.bearing or None,
+        "crank_turns_per_second": result.crank_turns_per_second,
+        "now": result.now,
+        "ages": result.ages,
+        "bands": {name: levels(band) for name, band in result.bands.items()},
         "limits": {
             name: {
-                "limit": one.limit,
-                "probability_beyond": one.probability,
-                "age": {f"{p:g}": age if math.isfinite(age) else None for p, age in one.ages.items()},
+                "limit": remaining.limit,
+                "probability_beyond": remaining.probability,
+                "age": {f"{p:g}": age if math.isfinite(age) else None for p, age in remaining.ages.items()},
             }
-            for name, one in found.remaining.items()
+            for name, remaining in result.remaining.items()
         },
         "measured": [
-            {**vars(m), "age": m.crank_turns / found.crank_turns_per_second, "score": z}
-            for m, z in zip(after.measured, found.scores, strict=True)
+            {**vars(m), "age": m.crank_turns / result.crank_turns_per_second, "score": score}
+            for m, score in zip(measured, result.scores, strict=True)
         ],
-        "notes": list(found.notes),
+        "notes": list(result.notes),
     }

@@ -16,6 +16,7 @@ from cycloid_fmu.drive import Drive
 from cycloid_fmu.geometry.pair import PositiveLength
 from fitting.ageing.life import FIGURES
 from fitting.ageing.posterior import Measured
+from fitting.estimation.parameter import NORMAL
 from fitting.figures.comparison import read_figures
 from fitting.figures.figure import Figure
 from fitting.figures.metrics import metrics
@@ -23,7 +24,6 @@ from fitting.readers.sources import Mappings, read_recordings
 
 FORMAT = "cycloid-history/1"
 HOUR = 3600.0
-_NORMAL = 1.959964  # standard errors in half a 95 % interval; of few loops that is wider, and stays so
 _ABOVE_ZERO = pydantic.Field(gt=0.0, allow_inf_nan=False)
 _PositiveAngle = Annotated[edge.Angle, _ABOVE_ZERO]
 _PositiveTime = Annotated[edge.Seconds, _ABOVE_ZERO]
@@ -142,7 +142,7 @@ class History(edge.Config):
 
     @pydantic.model_validator(mode="after")
     def _ages_known(self) -> History:
-        dated = [one.date for one in self.recorded if one.date is not None]
+        dated = [entry.date for entry in self.recorded if entry.date is not None]
         if not dated:
             return self
         if self.in_service is None or self.hours_per_day is None:
@@ -151,14 +151,11 @@ class History(edge.Config):
             raise ValueError(f"recorded date {early} is before in_service {self.in_service}")
         return self
 
-    def age_of(self, one: Recorded) -> float:
+    def age_of(self, entry: Recorded) -> float:
         """Return the running time of the drive when something was recorded, s."""
-        if one.age is not None:
-            return one.age
-        assert one.date is not None
-        assert self.in_service is not None
-        assert self.hours_per_day is not None
-        return (one.date - self.in_service).days * self.hours_per_day * HOUR
+        if entry.date is None or self.in_service is None:
+            return entry.age or 0.0
+        return (entry.date - self.in_service).days * (self.hours_per_day or 0.0) * HOUR
 
 
 def read_history(path: str | os.PathLike[str]) -> History:
@@ -195,35 +192,37 @@ def measured(
     edge.InputError
         If a file can't be read, or has none of the figures with an uncertainty.
     """
-    found: list[Measured] = []
-    for number, one in enumerate(history.recorded):
-        turns = history.age_of(one) / HOUR * history.crank_turns_per_hour
+    figures: list[Measured] = []
+    for number, entry in enumerate(history.recorded):
+        turns = history.age_of(entry) / HOUR * history.crank_turns_per_hour
         where = f"{source}: recorded[{number}]"
-        if one.figures is not None:
-            where = str(Path(folder) / one.figures)
+        if entry.figures is not None:
+            where = str(Path(folder) / entry.figures)
             rows = _rows(read_figures(where))
-        elif one.recordings:
-            files = [Path(folder) / name for name in one.recordings]
-            where = ", ".join(str(file) for file in files)
+        elif entry.recordings:
+            files = [Path(folder) / name for name in entry.recordings]
+            where = ", ".join(map(str, files))
             rows = _rows(metrics(read_recordings(files, mapping), drive, progress=progress).figures)
         else:
-            given = {name: getattr(one, name) for name in FIGURES}
-            rows = [(n, pair[0], pair[1] / _NORMAL) for n, pair in given.items() if pair is not None]
+            rows = [(name, *stated) for name in FIGURES if (stated := getattr(entry, name)) is not None]
         if not rows:
             raise edge.InputError(
                 f"{where}: none of {', '.join(FIGURES)} is there with an uncertainty; record three turns or loops."
             )
-        found += [Measured(turns, name, value, error, where) for name, value, error in rows]
-    return sorted(found, key=lambda m: m.crank_turns)
+        # Of few loops an interval is wider, and stays so.
+        figures += [Measured(turns, name, value, half / NORMAL, where) for name, value, half in rows]
+    return sorted(figures, key=lambda m: m.crank_turns)
 
 
 def _rows(figures: Mapping[str, Figure]) -> list[tuple[str, float, float]]:
-    """Return names, values and standard errors of the figures of a forecast.
+    """Return names, values and half 95 % intervals of the figures of a forecast.
 
     The uncertainty of the instruments is the same at every age, so it is part of the offset.
     """
     return [
-        (name, one.value, one.uncertainty / _NORMAL)
+        (name, figure.value, figure.uncertainty)
         for name in FIGURES
-        if (one := figures.get(name)) is not None and 0.0 < one.uncertainty < math.inf and math.isfinite(one.value)
+        if (figure := figures.get(name)) is not None
+        and 0.0 < figure.uncertainty < math.inf
+        and math.isfinite(figure.value)
     ]

@@ -6,6 +6,7 @@ also when the profile is updated. So one wear run with any coefficient is valid 
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -64,12 +65,11 @@ class LifeFigures:
     def at(self, name: str, dose: ArrayLike, clearance: ArrayLike = 0.0) -> Array:
         """Return a figure at doses and growths of the clearance of one shape, rad."""
         u, c = np.broadcast_arrays(np.asarray(dose, dtype=float), np.asarray(clearance, dtype=float))
-        axes, places = [self.dose, self.clearance], [u.ravel(), c.ravel()]
-        values = self.values[name]
+        axes, points, values = [self.dose, self.clearance], [u, c], self.values[name]
         if self.clearance.size == 1:
-            axes, places, values = axes[:1], places[:1], values[:, 0]
-        found = RegularGridInterpolator(axes, values, bounds_error=False, fill_value=None)(np.stack(places, axis=-1))
-        return np.asarray(found.reshape(u.shape))
+            axes, points, values = axes[:1], points[:1], values[:, 0]
+        linear = RegularGridInterpolator(axes, values, bounds_error=False, fill_value=None)
+        return np.asarray(linear(np.stack(points, axis=-1)).reshape(u.shape))
 
 
 def with_clearance(pair: Pair, bearing: str, growth: float) -> Pair:
@@ -96,35 +96,24 @@ def figures_of(drive: DriveValue, torque: float, workers: int = 1) -> dict[str, 
 
     Parameters
     ----------
-    pair, surface
-        The pair, on rigid or on its stated bearings, and its errors.
+    drive
+        The drive, on rigid or on its stated bearings.
     torque
         On the output, for the transmission error, N·m.
     """
-    pair, surface = drive.pair, drive.surface
-    both = all(alike(surface))
-    g, count = pair, _ANGLES[not both]
-    angle = np.linspace(0.0, 2.0 * np.pi * (1.0 / g.pins if both else g.gear_teeth), count, endpoint=False)
+    pair, same = drive.pair, all(alike(drive.surface))
+    count, turns = _ANGLES[not same], 1.0 / pair.pins if same else pair.gear_teeth
     if pair.supports is not None:
-        turns = 1 if both else g.gear_teeth
-        angle = np.linspace(0.0, 2.0 * np.pi * turns, _OF_BEARINGS[not both], endpoint=False)
-    torques = [torque, *pair.lost_motion_loads]
-    found = solve(drive, torques, angle, workers=workers)
-    error, up, down = found.transmission_error
-    return {
-        "lost_motion": up - down,
-        "backlash": np.nan_to_num(found.backlash),
-        "angular_transmission_error": error,
-    }
+        count, turns = _OF_BEARINGS[not same], 1 if same else pair.gear_teeth
+    angle = np.linspace(0.0, 2.0 * np.pi * turns, count, endpoint=False)
+    solved = solve(drive, [torque, *pair.lost_motion_loads], angle, workers=workers)
+    error, up, down = solved.transmission_error
+    return dict(zip(FIGURES, (up - down, np.nan_to_num(solved.backlash), error), strict=True))
 
 
-def mean_figures(curves: Mapping[str, Array]) -> dict[str, float]:
+def means_of(curves: Mapping[str, Array]) -> dict[str, float]:
     """Return the figures of curves over the crank angle as one number each, rad, as on a bench."""
-    return {name: _value(name, curve) for name, curve in curves.items()}
-
-
-def _value(name: str, curve: Array) -> float:
-    return float(np.ptp(curve) if name == "angular_transmission_error" else np.mean(curve))
+    return {name: float(np.mean(v) if name in FIGURES[:2] else np.ptp(v)) for name, v in curves.items()}
 
 
 def life_figures(
@@ -157,7 +146,7 @@ def life_figures(
     bearing, clearance
         Which bearing of `[supports]` wears (`supports.BEARINGS`), and how far its diametral clearance grows at most, m.
     progress
-        Told which share is done, 0 to 1.
+        Called with the share done, 0 to 1.
 
     Raises
     ------
@@ -167,48 +156,44 @@ def life_figures(
         As raised.
     """
     refuse_first_stage(drive, "forecast")
-    pair, cores = drive.pair, workers or os.cpu_count() or 1
+    pair, workers = drive.pair, workers or os.cpu_count() or 1
     if pair.rated_torque is None:
         raise edge.InputError("rated_torque is missing; the lost motion is taken at 3 % of it.")
-    if not loads or not any(load.torque for load in loads):
+    if not any(load.torque for load in loads):
         raise edge.ArgumentError("torque", "no load wears the drive", "0 N*m")
     if bearing is not None:
         with_clearance(pair, bearing, 0.0)  # refused before anything is computed
-    unit = law if law.coefficient is None else law.replace(coefficient=_UNIT)
-    scale = 1.0 if law.coefficient is None else _UNIT
-    bare, made = _on_rigid_bearings(DriveValue(pair, drive.surface))
-    # Shares of a turn: the cycle's order can't matter, as nobody knows where in it a recording was made.
-    total = sum(load.crank_turns for load in loads)
-    shares = [load.replace(crank_turns=load.crank_turns / total) for load in loads]
-
-    def run(step: float, most: float, begun: float) -> _WornLife:
-        model = wear_model(DriveValue(bare, made), unit.replace(largest_step=step), shares)
-        return _worn_life(model, most / scale, growth, cores, lambda done: progress(begun + 0.4 * done))
-
-    life = run(law.largest_step, dose, 0.0)
+    scale = law.coefficient or 1.0
+    rigid = pair if pair.supports is None else pair.nominal.replace(supports=None, bodies=None)
+    # A cycle of one turn: the loads' order can't matter, as nobody knows where in it a recording was made.
+    model = dataclasses.replace(wear_model(_on(rigid, drive.surface), law, loads), cycle=1.0)
+    life = _worn_life(model, dose / scale, growth, workers, progress)
     if len(life.states) < _STATES:
-        last = life.states[-1]
-        life = run(min(law.largest_step, last.depth.largest / (2.0 * _STATES)), last.crank_turns * scale, 0.4)
+        finer = law.replace(largest_step=min(law.largest_step, life.states[-1].depth.largest / (2.0 * _STATES)))
+        life = _worn_life(dataclasses.replace(model, law=finer), dose / scale, growth, workers, progress)
+    doses = scale * np.array([state.crank_turns for state in life.states])
+    if doses[-1] == 0.0:
+        raise edge.ArgumentError("dose", "the drive does not wear at all", dose)
     surfaces = [
         drive.surface.replace(**{n: getattr(worn, n) for n in DEVIATIONS}, origin="worn") for worn in life.surfaces
     ]
-    at = np.array([state.crank_turns * scale for state in life.states])
-    if at[-1] == 0.0:
-        raise edge.ArgumentError("dose", "the drive does not wear at all", dose)
-    values = {name: np.array([[_value(name, row[name])] for row in life.curves]) for name in FIGURES}
-    first, nodes = life.curves[0], np.zeros(1)
+    nodes, new = np.zeros(1), life.curves[0]
+    values = np.array([[[*means_of(curves).values()]] for curves in life.curves])  # (states, clearances, figures)
     if bearing is not None:
         nodes = np.linspace(0.0, min(clearance, largest_growth(pair, bearing)), _CLEARANCES)
     if pair.supports is not None:
-        first, moved, places = _on_bearings(
-            pair, surfaces, values, bearing, nodes, life.heaviest_torque, cores, progress
-        )
-        for name in FIGURES:
-            each = [np.interp(at, at[places], moved[name][:, j]) for j in range(nodes.size)]
-            values[name] = values[name] + np.array(each).T
-    scatter = {name: 0.0 if name not in FIGURES[:2] else float(np.std(first[name])) for name in FIGURES}
+        pairs = [pair if bearing is None else with_clearance(pair, bearing, float(more)) for more in nodes]
+        new = figures_of(_on(pairs[0], surfaces[0]), life.heaviest_torque, workers)
+        chosen = np.unique(np.linspace(0, len(surfaces) - 1, _MOVED).round().astype(int))
+        loaded = _on_bearings(pairs, [surfaces[k] for k in chosen], life.heaviest_torque, workers)
+        chosen = chosen[: len(loaded)]
+        effect = loaded - values[chosen]
+        values = values + np.apply_along_axis(lambda each: np.interp(doses, doses[chosen], each), 0, effect)
+    scatter = {name: 0.0 if name not in FIGURES[:2] else float(np.std(new[name])) for name in FIGURES}
     progress(1.0)
-    return LifeFigures(at, nodes, values, scatter, tuple(surfaces))
+    return LifeFigures(
+        doses, nodes, dict(zip(FIGURES, np.moveaxis(values, 2, 0), strict=True)), scatter, tuple(surfaces)
+    )
 
 
 class _WornLife(NamedTuple):
@@ -232,9 +217,8 @@ def _worn_life(
             life.states.append(state)
             life.surfaces.append(worn)
             life.curves.append(curves)
-            grown = _value("lost_motion", curves["lost_motion"]) - _value("lost_motion", life.curves[0]["lost_motion"])
-            done = max(state.crank_turns / crank_turns, grown / growth if growth < math.inf else 0.0)
-            progress(min(done, 1.0))
+            grown = float(np.mean(curves["lost_motion"] - life.curves[0]["lost_motion"]))
+            progress(0.8 * min(max(state.crank_turns / crank_turns, grown / growth), 1.0))
             if grown >= growth:
                 break
     except edge.InputError:
@@ -244,55 +228,25 @@ def _worn_life(
     return life
 
 
-def _on_bearings(
-    pair: Pair,
-    surfaces: Sequence[ErrorSurface],
-    rigid: Mapping[str, Array],
-    bearing: str | None,
-    nodes: Array,
-    torque: float,
-    workers: int,
-    progress: Callable[[float], None],
-) -> tuple[dict[str, Array], dict[str, Array], list[int]]:
-    """Return the curves when new, the effect of bearings in some states and clearances, and these states."""
-    chosen = np.unique(np.linspace(0, len(surfaces) - 1, _MOVED).round().astype(int)).tolist()
-    first: dict[str, Array] = {}
-    rows: list[list[dict[str, float]]] = []
-    for i, state in enumerate(chosen):
-        row = []
-        for j, growth in enumerate(nodes):
-            on = pair if bearing is None else with_clearance(pair, bearing, float(growth))
-            try:
-                curves = figures_of(DriveValue(on, _of_pair(surfaces[state], on)), torque, workers)
-            except edge.InputError:
-                if i == 0:
-                    raise
-                # Worn so deep that there is no balance at some angles: the effect of the bearings stays constant.
-                return first, _by_figure(rows), chosen[:i]
-            first = first or curves
-            row.append({name: _value(name, curves[name]) - float(rigid[name][state, 0]) for name in FIGURES})
-            progress(0.8 + 0.2 * (i * nodes.size + j + 1) / (len(chosen) * nodes.size))
-        rows.append(row)
-    return first, _by_figure(rows), chosen
+def _on_bearings(pairs: Sequence[Pair], surfaces: Sequence[ErrorSurface], torque: float, workers: int) -> Array:
+    """Return the figures of worn surfaces on each of the pairs, rad, shape (states, pairs, figures).
+
+    Worn so deep that there is no balance at some angles, a state and those after it are left out.
+    """
+    states: list[list[list[float]]] = []
+    for surface in surfaces:
+        try:
+            states.append([[*means_of(figures_of(_on(p, surface), torque, workers)).values()] for p in pairs])
+        except edge.InputError:
+            if not states:
+                raise
+            break
+    return np.array(states)
 
 
-def _by_figure(rows: Sequence[Sequence[Mapping[str, float]]]) -> dict[str, Array]:
-    return {name: np.array([[one[name] for one in row] for row in rows]) for name in FIGURES}
-
-
-_UNIT = 1e-18  # m²/N: any coefficient serves; this one keeps crank turns of the run usual numbers
-
-
-def _on_rigid_bearings(drive: DriveValue) -> tuple[Pair, ErrorSurface]:
-    """Return the drive without its supports and their errors."""
-    pair, surface = drive.pair, drive.surface
-    if pair.supports is None:
-        return pair, surface
-    return (bare := pair.nominal.replace(supports=None, bodies=None)), _of_pair(surface, bare)
-
-
-def _of_pair(surface: ErrorSurface, pair: Pair) -> ErrorSurface:
-    """Return the surface as one of a pair with other supports."""
+def _on(pair: Pair, surface: ErrorSurface) -> DriveValue:
+    """Return the drive of a surface on other supports, without the errors that these do not have."""
     possible = kinds_of(pair)
-    kept = {name: values for name, values in surface.errors.items() if name in possible}
-    return ErrorSurface(pair.nominal, kept, **{n: getattr(surface, n) for n in DEVIATIONS}, origin=surface.origin)
+    errors = {name: values for name, values in surface.errors.items() if name in possible}
+    deviations = {n: getattr(surface, n) for n in DEVIATIONS}
+    return DriveValue(pair, ErrorSurface(pair.nominal, errors, **deviations, origin=surface.origin))

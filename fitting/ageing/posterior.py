@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,12 +22,11 @@ from scipy.special import logsumexp, ndtr, ndtri
 from fitting.ageing.life import LifeFigures
 
 Array = NDArray[np.float64]
-_WIDE = 4.5  # standard deviations of the prior on each side of the first grid
-_NODES = (161, 41)  # of the grid, over one factor or each of two
-_LEFT_OUT = 16.0  # nodes with a density below exp(-this) of the largest are ignored
-_ZOOMS = 12
-_SETTLED = 0.25  # the grid is final if the nodes that count span this fraction of each axis
-_SHAPED = 20  # nodes that count, from which the axes of the density are computed
+_WIDE = 4.5  # standard deviations that the grid reaches in each direction
+_NODES = (161, 41)  # of the grid, over one factor or along each axis of two
+_SMALLEST = 16.0  # nodes with a density below exp(-this) of the largest are ignored
+_MOVES = 12  # most grids
+_SETTLED = 0.8  # the grid is final if its deviations shrink by less than this factor
 _DIFFERENCE = 1e-4  # of the dose, for derivatives of the figures
 _LAW = 0.05  # relative standard deviation of the growth: 8.5 % either way, a rectangular distribution (GUM)
 _LAW_LENGTH = 1.0  # correlation length in the logarithm of age
@@ -120,17 +120,12 @@ class Posterior:
     def predicted(self, figure: str, crank_turns: ArrayLike) -> Mixture:
         """Return the distribution of a figure at some ages, as measured on the bench, without noise."""
         turns = np.array(crank_turns, dtype=float, ndmin=1)
-        there = _model(self.life, self.prior, self.logs, [figure] * turns.size, turns)
-        mean, offset = there.mean, self.prior.offset.get(figure, 0.0) ** 2
-        own = np.diagonal(_shared(self.prior, there, there), axis1=1, axis2=2)
-        variance = offset + own
-        if self.measured:
-            left, seen, covariance = _residuals(self.life, self.prior, self.logs, self.measured)
-            same = np.array([m.figure == figure for m in self.measured])
-            shared = _shared(self.prior, seen, there) + offset * same[:, None]
-            solved = np.linalg.solve(covariance, np.concatenate([left[:, :, None], shared], axis=2))
-            mean = mean + np.einsum("gnm,gn->gm", shared, solved[:, :, 0])
-            variance = variance - np.einsum("gnm,gnm->gm", shared, solved[:, :, 1:])
+        ahead = _expected(self.life, self.prior, self.logs, [figure] * turns.size, turns)
+        residual, past, covariance = _residuals(self.life, self.prior, self.logs, self.measured)
+        cross = _covariance(self.prior, past, ahead)
+        solved = np.linalg.solve(covariance, np.concatenate([residual[:, :, None], cross], axis=2))
+        mean = ahead.mean + np.einsum("gnm,gn->gm", cross, solved[:, :, 0])
+        variance = _variance(self.prior, ahead) - np.einsum("gnm,gnm->gm", cross, solved[:, :, 1:])
         return Mixture(self.weight, mean, np.sqrt(np.maximum(variance, 0.0)))
 
 
@@ -163,32 +158,23 @@ class Mixture:
 
 
 def posterior(life: LifeFigures, prior: Prior, measured: Sequence[Measured]) -> Posterior:
-    """Return the distribution of the factors given the figures, on a grid that is moved and rotated to its maximum."""
+    """Return the distribution of the factors given the figures, on a grid moved and scaled to its own moments."""
     spread = prior.deviations
-    axes, middle, half = np.eye(spread.size), np.zeros(spread.size), _WIDE * spread
-    nodes = _NODES[spread.size - 1]
-    logs, density = np.zeros((1, spread.size)), np.zeros(1)
-    for _ in range(_ZOOMS):
-        grid = np.stack(np.meshgrid(*(np.linspace(-h, h, nodes) for h in half), indexing="ij"), axis=-1)
-        places = grid.reshape(-1, spread.size)
-        logs = middle + places @ axes.T
+    middle, axes, along = np.zeros(spread.size), np.diag(spread), np.linspace(-_WIDE, _WIDE, _NODES[spread.size - 1])
+    grid = np.stack(np.meshgrid(*[along] * spread.size, indexing="ij"), axis=-1).reshape(-1, spread.size)
+    for _ in range(_MOVES):
+        logs = middle + grid @ axes.T
         density = -0.5 * ((logs / spread) ** 2).sum(axis=1) + _likelihood(life, prior, logs, measured)
-        counts = density > density.max() - _LEFT_OUT
-        low, high = places[counts].min(axis=0), places[counts].max(axis=0)
-        if ((high - low) >= _SETTLED * 2.0 * half).all():
+        kept = density > density.max() - _SMALLEST
+        logs, weight = logs[kept], np.exp(density[kept] - logsumexp(density[kept]))
+        middle = weight @ logs
+        # A maximum narrower than a cell of the grid has at least its size.
+        cells = np.vstack([np.sqrt(weight)[:, None] * (logs - middle), (along[1] - along[0]) * axes.T])
+        narrowed = np.linalg.cholesky(cells.T @ cells)
+        if np.linalg.det(narrowed) > _SETTLED * np.linalg.det(axes):
             break
-        cell = axes * (2.0 * half / (nodes - 1))  # its edges, in the columns
-        if spread.size > 1 and counts.sum() > _SHAPED:
-            # The grid's axes are rotated to the ridge along which the two factors compensate each other.
-            weight = np.exp(density[counts] - density.max())
-            about = (logs[counts] - weight @ logs[counts] / weight.sum()) / spread
-            axes = spread[:, None] * np.linalg.eigh(np.einsum("k,ki,kj->ij", weight, about, about))[1]
-        there, edge = np.linalg.solve(axes, logs[counts].T), np.abs(np.linalg.solve(axes, cell)).max(axis=1)
-        low, high = there.min(axis=1) - edge, there.max(axis=1) + edge
-        middle, half = axes @ (0.5 * (low + high)), 0.5 * (high - low)
-    kept = density > density.max() - _LEFT_OUT
-    weight = np.exp(density[kept] - logsumexp(density[kept]))
-    return Posterior(life, prior, tuple(measured), logs[kept], weight)
+        axes = narrowed
+    return Posterior(life, prior, tuple(measured), logs, weight)
 
 
 def scores(life: LifeFigures, prior: Prior, measured: Sequence[Measured]) -> Array:
@@ -197,70 +183,75 @@ def scores(life: LifeFigures, prior: Prior, measured: Sequence[Measured]) -> Arr
     Shape (figures,). If the model is valid the scores are independent standard normal numbers (Rosenblatt 1952). A
     contradicting recording or accelerating wear changes one score or the mean of several.
     """
-    found = np.zeros(len(measured))
-    for number, one in enumerate(measured):
-        before = posterior(life, prior, measured[:number])
-        mixture = before.predicted(one.figure, one.crank_turns).with_noise(one.standard_error)
-        below = float(mixture.below(one.value)[0])
-        found[number] = ndtri(np.clip(below, 1e-300, 1.0 - 1e-16))
-    return found
+    below = np.zeros(len(measured))
+    for number, figure in enumerate(measured):
+        earlier = posterior(life, prior, measured[:number]).predicted(figure.figure, figure.crank_turns)
+        below[number] = earlier.with_noise(figure.standard_error).below(figure.value)[0]
+    return np.asarray(ndtri(np.clip(below, 1e-300, 1.0 - 1e-16)))
 
 
-@dataclass(frozen=True)
-class _Foretold:
-    """Figures at ages (`turns`, shape (figures,)), their growth since new and their derivative by the crank turns."""
+class _Expected(NamedTuple):
+    """Names of figures, their crank turns (figures,), and (nodes, figures) means, growth since new, slope per turn."""
 
+    names: Sequence[str]
     turns: Array
     mean: Array
     growth: Array
     slope: Array
 
 
-def _model(life: LifeFigures, prior: Prior, logs: Array, figures: Sequence[str], turns: Array) -> _Foretold:
-    """Evaluate the model at every node: arrays of shape (nodes, figures)."""
+def _expected(life: LifeFigures, prior: Prior, logs: Array, names: Sequence[str], turns: Array) -> _Expected:
+    """Return the model's figures at every node."""
     dose = prior.coefficient * np.exp(logs[:, :1]) * turns
-    grown = prior.growth * np.exp(logs[:, 1:2]) * turns if logs.shape[1] > 1 else np.zeros_like(dose)
+    grown = prior.growth * np.exp(logs[:, -1:]) * turns
     mean, growth, slope = (np.zeros_like(dose) for _ in range(3))
-    for name in dict.fromkeys(figures):
-        at = [k for k, one in enumerate(figures) if one == name]
+    for name in dict.fromkeys(names):
+        at = [k for k, other in enumerate(names) if other == name]
         mean[:, at] = life.at(name, dose[:, at], grown[:, at])
         growth[:, at] = mean[:, at] - life.at(name, 0.0)
-        more = 1.0 + _DIFFERENCE
         # Flanks and bearing wear simultaneously.
-        change = life.at(name, dose[:, at] * more, grown[:, at] * more) - mean[:, at]
-        slope[:, at] = change / (_DIFFERENCE * np.maximum(turns[at], 1e-300))
-    return _Foretold(turns, mean, growth, slope)
+        more = life.at(name, dose[:, at] * (1.0 + _DIFFERENCE), grown[:, at] * (1.0 + _DIFFERENCE))
+        slope[:, at] = (more - mean[:, at]) / (_DIFFERENCE * np.maximum(turns[at], 1e-300))
+    return _Expected(names, turns, mean, growth, slope)
 
 
-def _shared(prior: Prior, first: _Foretold, second: _Foretold) -> Array:
-    """Covariance of figures at ages from loads and wear law, shape (nodes, first, second)."""
-    logs = [np.log(np.maximum(one.turns, 1.0)) for one in (first, second)]
-    alike = _LAW**2 * np.exp(-0.5 * ((logs[0][:, None] - logs[1]) / _LAW_LENGTH) ** 2)
+def _covariance(prior: Prior, first: _Expected, second: _Expected) -> Array:
+    """Covariance of figures at ages from bench, loads and wear law, shape (nodes, first, second)."""
+    offset = np.array([[prior.offset.get(a, 0.0) ** 2 * (a == b) for b in second.names] for a in first.names])
+    logs = (np.log(np.maximum(ages.turns, 1.0)) for ages in (first, second))
+    alike = _LAW**2 * np.exp(-0.5 * (np.subtract.outer(*logs) / _LAW_LENGTH) ** 2)
     # Loads of different periods are independent: the effective crank turns are a random walk.
-    loads = prior.scatter**2 * prior.period * np.minimum(first.turns[:, None], second.turns)
-    each = first.slope[:, :, None] * loads * second.slope[:, None, :]
-    return np.asarray(each + first.growth[:, :, None] * alike * second.growth[:, None, :])
+    loads = prior.scatter**2 * prior.period * np.minimum.outer(first.turns, second.turns)
+    both = first.slope[:, :, None] * loads * second.slope[:, None, :]
+    both += first.growth[:, :, None] * alike * second.growth[:, None, :]
+    return np.asarray(both + offset.reshape(alike.shape))
+
+
+def _variance(prior: Prior, figures: _Expected) -> Array:
+    """Diagonal of `_covariance`, shape (nodes, figures)."""
+    offset = np.array([prior.offset.get(name, 0.0) for name in figures.names])
+    loads = prior.scatter**2 * prior.period * figures.turns
+    return np.asarray(offset**2 + loads * figures.slope**2 + (_LAW * figures.growth) ** 2)
 
 
 def _residuals(
     life: LifeFigures, prior: Prior, logs: Array, measured: Sequence[Measured]
-) -> tuple[Array, _Foretold, Array]:
-    """Measured minus predicted (nodes, n), the prediction, and the covariance (nodes, n, n) at every node."""
-    figures, turns = [m.figure for m in measured], np.array([m.crank_turns for m in measured])
-    there = _model(life, prior, logs, figures, turns)
-    offset = np.array([prior.offset.get(name, 0.0) ** 2 for name in figures])
-    same = np.array([[a == b for b in figures] for a in figures])
-    noise = np.array([m.standard_error**2 for m in measured])
-    covariance = np.diag(noise + _ROUNDING[0]) + same * offset + _shared(prior, there, there)
-    covariance[:, range(len(turns)), range(len(turns))] *= 1.0 + _ROUNDING[1]
-    return np.array([m.value for m in measured]) - there.mean, there, covariance
+) -> tuple[Array, _Expected, Array]:
+    """Measured minus expected (nodes, n), the expected figures, and the covariance (nodes, n, n) at every node."""
+    turns, value, error = (
+        np.array([getattr(m, name) for m in measured], dtype=float)
+        for name in ("crank_turns", "value", "standard_error")
+    )
+    expected = _expected(life, prior, logs, [m.figure for m in measured], turns)
+    covariance = _covariance(prior, expected, expected) + np.diag(error**2 + _ROUNDING[0])
+    covariance *= 1.0 + _ROUNDING[1] * np.eye(turns.size)
+    return value - expected.mean, expected, covariance
 
 
 def _likelihood(life: LifeFigures, prior: Prior, logs: Array, measured: Sequence[Measured]) -> Array:
-    if not measured:
-        return np.zeros(len(logs))
-    left, _, covariance = _residuals(life, prior, logs, measured)
+    """Logarithm of the density of the measured figures at every node, shape (nodes,)."""
+    residual, _, covariance = _residuals(life, prior, logs, measured)
     factor = np.linalg.cholesky(covariance)
-    white = np.linalg.solve(factor, left[:, :, None])[:, :, 0]
-    logs_of = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
-    return np.asarray(-0.5 * (white**2).sum(axis=1) - logs_of - 0.5 * math.log(2.0 * math.pi) * len(measured))
+    white = np.linalg.solve(factor, residual[:, :, None])[:, :, 0]
+    size = np.log(2.0 * math.pi * np.diagonal(factor, axis1=1, axis2=2) ** 2)
+    return np.asarray(-0.5 * (white**2 + size).sum(axis=1))

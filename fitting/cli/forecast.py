@@ -57,14 +57,14 @@ def forecast(
     from cycloid_fmu.surfaces.files import write_surface
     from cycloid_fmu.wear.law import read_wear_law
     from fitting.ageing.forecast import as_json as content
-    from fitting.ageing.forecast import forecast as foretell
+    from fitting.ageing.forecast import forecast as forecast_of
     from fitting.ageing.history import measured, read_history
 
     history, law, made = read_history(history_file), read_wear_law(wear_file), read_drive(drive, surface)
     with commands.status() as step:
         figures = measured(history, made, history_file.parent, mapping=mapping, source=str(history_file), progress=step)
     with commands.Bar("forecast, percent", 100.0) as bar:
-        found = foretell(
+        result = forecast_of(
             made,
             law,
             history,
@@ -74,51 +74,44 @@ def forecast(
             progress=lambda share: bar.update(completed=round(100.0 * share)),
         )
     if output is not None:
-        found.write(output)
+        result.write(output)
     if plot is not None:
-        fitting.plot(found, plot)
+        fitting.plot(result, plot)
     if as_json:
-        commands.print_json(content(found))
+        commands.print_json(content(result))
     else:
-        _print(found, law.coefficient is None)
-    options.print_notes(found.notes if found.alarm is None else (found.alarm.sentence, *found.notes))
+        _print(result, law.coefficient is None)
+    options.print_notes(result.notes if result.alarm is None else (result.alarm.sentence, *result.notes))
     if twin is not None:
-        write_surface(found.aged.surface, twin)
+        write_surface(result.aged.surface, twin)
 
 
-def _print(found: Forecast, regression: bool) -> None:
+def _print(result: Forecast, regression: bool) -> None:
     from cycloid_fmu.studies.limits import SHOWN
+    from fitting.ageing.forecast import INTERVAL
 
-    low, middle, high = found.coefficient((0.025, 0.5, 0.975))
+    low, middle, high = result.coefficient(INTERVAL)
     name = "Factor on the regression's wear coefficient" if regression else "Wear coefficient"
     unit = "" if regression else " m²/N"
     typer.echo(f"{name}: {middle:.3g}{unit}, 95 % interval {low:.3g} … {high:.3g}{unit}.")
-    if found.bearing:
-        low, middle, high = found.growth((0.025, 0.5, 0.975)) * 3.6e12
-        typer.echo(
-            f"Clearance of {found.bearing}: grows {middle:.3g} µm in 1000 h, 95 % interval {low:.3g} … {high:.3g} µm."
-        )
-    end = float(found.ages[-1])
-    rows = []
-    for name in found.bands:
+    if result.bearing:
+        low, middle, high = result.growth(INTERVAL) * 3.6e12
+        growth = f"grows {middle:.3g} µm in 1000 h, 95 % interval {low:.3g} … {high:.3g} µm."
+        typer.echo(f"Clearance of {result.bearing}: {growth}")
+    rows, end = [], float(result.ages[-1])
+    for name in result.bands:
         unit, factor, _ = SHOWN[name]
-        for age in (found.now, end):
-            low, middle, high = found.at(name, age, (0.025, 0.5, 0.975)) * factor
+        for age in (result.now, end):
+            low, middle, high = result.at(name, age, INTERVAL) * factor
             label = f"{name.replace('_', ' ')} [{unit}]"
             rows.append([label, f"{age / 3600.0:.6g}", f"{middle:.3f}", f"{low:.3f} … {high:.3f}"])
     commands.print_table("Figures", ["figure", "age [h]", "median", "95 % interval"], rows)
-    rows = []
-    for name, one in found.remaining.items():
+    rows, columns = [], ["figure", "limit"]
+    for name, remaining in result.remaining.items():
         unit, factor, _ = SHOWN[name]
-        left = [
-            _hours(age - found.now) if math.isfinite(age) else f"> {_hours(end - found.now)}"
-            for age in one.ages.values()
-        ]
-        rows.append([name.replace("_", " "), f"{one.limit * factor:.4g} {unit}", *left])
+        hours = [("" if math.isfinite(age) else "> ", min(age, end) - result.now) for age in remaining.ages.values()]
+        texts = [f"{sign}{max(seconds, 0.0) / 3600.0:.4g} h" for sign, seconds in hours]
+        rows.append([name.replace("_", " "), f"{remaining.limit * factor:.4g} {unit}", *texts])
+        columns = ["figure", "limit", *(f"with {p:.0%}" for p in remaining.ages)]
     if rows:
-        probabilities = [f"with {p:.0%}" for p in next(iter(found.remaining.values())).ages]
-        commands.print_table("Remaining life until the limit is exceeded", ["figure", "limit", *probabilities], rows)
-
-
-def _hours(seconds: float) -> str:
-    return f"{max(seconds, 0.0) / 3600.0:.4g} h"
+        commands.print_table("Remaining life until the limit is exceeded", columns, rows)

@@ -86,17 +86,17 @@ def friction(
     low, high = found.speeds
     title = f"Friction at the output, {low:.4g} to {high:.4g} rad/s"
     commands.print_table(title, ["figure", "value", "± 95 %", "unit", "of"], rows)
-    for name, one in found.figures.items():
-        if one.remark:
-            typer.echo(f"{name}: {one.remark}.")
+    for name, figure in found.figures.items():
+        if figure.remark:
+            typer.echo(f"{name}: {figure.remark}.")
     options.print_notes(found.notes)
 
 
-def _with_coefficients(found: FrictionFit, drive: Drive, loop: Path | None) -> FrictionFit:
+def _with_coefficients(friction_fit: FrictionFit, drive: Drive, loop: Path | None) -> FrictionFit:
     """Return the fit with the coefficients of [losses], or with a note on why there are none."""
     import fitting
 
     try:
-        return fitting.loss_coefficients(found, drive, loop)
+        return fitting.loss_coefficients(friction_fit, drive, loop)
     except edge.InputError as problem:
-        return dataclasses.replace(found, notes=(*found.notes, f"No coefficients of [losses]: {problem}"))
+        return dataclasses.replace(friction_fit, notes=(*friction_fit.notes, f"No coefficients of [losses]: {problem}"))

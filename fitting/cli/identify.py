@@ -133,8 +133,8 @@ def _print(result: Identification) -> None:
     each = errors_by_pattern(result.pair, result.realised.covariance)
     known = ", ".join(f"{n} {error * 1e6:.3f} µm" for n, error in each.items())
     typer.echo(f"Standard errors of every pin and tooth of this ring, which --output and --report state: {known}.")
-    for one in result.loops:
+    for loop in result.loops:
         typer.echo(
-            f"{Path(one.source).name}: play at the crank angle {math.degrees(one.crank_angle):.1f}°: "
-            f"{one.play * ARCSEC:.2f} ± {1.96 * one.standard_error * ARCSEC:.2f}″ from the identified errors."
+            f"{Path(loop.source).name}: play at the crank angle {math.degrees(loop.crank_angle):.1f}°: "
+            f"{loop.play * ARCSEC:.2f} ± {1.96 * loop.standard_error * ARCSEC:.2f}″ from the identified errors."
         )

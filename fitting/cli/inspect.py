@@ -54,7 +54,7 @@ def inspect(
     ]
     rows += [[name, "", "", "", "", "(text)"] for name in found.file.texts]
     commands.print_table(file.name, ["channel", "unit", "samples", "smallest", "largest", "proposed as"], rows)
-    if max(one.values.size for one in found.looks) >= INSPECTED:
+    if max(look.values.size for look in found.looks) >= INSPECTED:
         typer.echo(f"Based on the first {INSPECTED} samples.")
     typer.echo("\n# A proposed mapping; check it and use it with --mapping.\n" + found.text)
     options.print_notes(found.file.problems)

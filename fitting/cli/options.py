@@ -84,7 +84,7 @@ def print_notes(notes: Iterable[str]) -> None:
         typer.echo(note, err=True)
 
 
-def finish(found: Figures, *, as_json: bool) -> None:
+def finish(figures: Figures, *, as_json: bool) -> None:
     """Print figures and notes for people, or the figures for scripts; exit with their status."""
     from fitting.figures.budget import BUDGET_HEAD, budget_rows
     from fitting.figures.figure import in_field_units
@@ -93,29 +93,29 @@ def finish(found: Figures, *, as_json: bool) -> None:
     from fitting.figures.orders import ORDERS_HEAD, order_rows
 
     rows, remarks = [], []
-    for name, figure in found.shown.items():
+    for name, figure in figures.shown.items():
         remarks += [f"{name}: {figure.remark}."] if figure.remark else []
         for label, one in [(name, figure), *((f"  {part}", one) for part, one in figure.shown.items())]:
             rows.append([label, *in_field_units(one), f"{one.count:.4g} {one.counted}"])
     if as_json:
-        commands.print_json(figures_json(found))
+        commands.print_json(figures_json(figures))
     elif rows:
         commands.print_table("Figures", ["figure", "value", "± 95 %", "unit", "of"], rows)
         for remark in remarks:
             typer.echo(remark)
-        if len(found.loop_groups) > 1:
-            commands.print_table("Loops by size and position", GROUPS_HEAD, group_rows(found.loop_groups))
-        if found.play_range is not None:
-            low, high = ("{} ± {} {}".format(*in_field_units(one)) for one in found.play_range)
+        if len(figures.loop_groups) > 1:
+            commands.print_table("Loops by size and position", GROUPS_HEAD, group_rows(figures.loop_groups))
+        if figures.play_range is not None:
+            low, high = ("{} ± {} {}".format(*in_field_units(one)) for one in figures.play_range)
             typer.echo(f"Play over the positions of the loops, without friction: {low} to {high}.")
-        if found.orders:
+        if figures.orders:
             commands.print_table(
-                "Largest orders of the transmission error, per output turn", ORDERS_HEAD, order_rows(found.orders)
+                "Largest orders of the transmission error, per output turn", ORDERS_HEAD, order_rows(figures.orders)
             )
-        for name, budget in found.budgets.items():
+        for name, budget in figures.budgets.items():
             commands.print_table(f"Uncertainty budget of {name}", BUDGET_HEAD, budget_rows(budget))
-    print_notes(found.problems if as_json and found.figures else found.notes)
-    if found.problems:
-        raise typer.Exit(edge.INTERRUPTED if found.interrupted else edge.BAD_INPUT)
-    if not found.figures:
+    print_notes(figures.problems if as_json and figures.figures else figures.notes)
+    if figures.problems:
+        raise typer.Exit(edge.INTERRUPTED if figures.interrupted else edge.BAD_INPUT)
+    if not figures.figures:
         raise edge.NoDataError("No figure could be computed.")

@@ -169,8 +169,8 @@ def _print(result: Recalibration) -> None:
 def _print_plan(visits: list[PlannedVisit], wanted: float | None) -> None:
     turns = [*visits[0].half_width]
     rows = []
-    for one in visits:
-        enough = [] if wanted is None else ["–" if one.turns is None else str(one.turns)]
-        rows.append([one.runs, *(f"{width * ARCSEC:.2f}" for width in one.half_width.values()), *enough])
+    for visit in visits:
+        enough = [] if wanted is None else ["–" if visit.turns is None else str(visit.turns)]
+        rows.append([visit.runs, *(f"{width * ARCSEC:.2f}" for width in visit.half_width.values()), *enough])
     head = ["runs", *(str(t) for t in turns), *([] if wanted is None else ["turns needed"])]
     commands.print_table("Half width of the backlash's 95 % interval [arcsec] by output turns", head, rows)

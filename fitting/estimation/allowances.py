@@ -107,7 +107,7 @@ def bearings_found(
     pair: Pair, observed: Observations, changes: Array, deviations: Sequence[float] | Array
 ) -> list[Parameter]:
     """Return the results for bearings and friction: those of stiffnesses and coefficients are of their logarithms."""
-    found, names = [], observed.bearing_names
+    parameters, names = [], observed.bearing_names
     values = as_stated(pair, changes, observed.first_stage)
     for name, value, sigma, before in zip(names, values, deviations, observed.bearing_prior, strict=True):
         is_share = is_logarithmic(name)
@@ -121,8 +121,8 @@ def bearings_found(
         )
         share = max(1.0 - (sigma / before) ** 2, 0.0)
         why = None if share > _RESOLVED else "these curves do not separate it from the errors"
-        found.append(Parameter(name, unit_of_bearing(name), float(value), scale * sigma, interval, share, why))
-    return found
+        parameters.append(Parameter(name, unit_of_bearing(name), float(value), scale * sigma, interval, share, why))
+    return parameters
 
 
 def clock_lag_found(observed: Observations, linear: Linear, coefficient: float, deviation: float) -> Parameter:

@@ -88,9 +88,16 @@ _Contribution = tuple[str, int | None, int, Parameter, Parameter | None, Array]
 
 
 def _of_the_drive(observed: Observations, linear: Linear, parameters: Sequence[Parameter]) -> Iterator[_Contribution]:
-    for one in parameters:
-        if one.held is None and wave_of(one.name) is None:
-            yield one.name, None, 0, one, None, linear.structured[:, observed.errors.index(one.name)] * one.value
+    for parameter in parameters:
+        if parameter.held is None and wave_of(parameter.name) is None:
+            yield (
+                parameter.name,
+                None,
+                0,
+                parameter,
+                None,
+                linear.structured[:, observed.errors.index(parameter.name)] * parameter.value,
+            )
 
 
 def _of_the_ring(linear: Linear, ring: Realised) -> Iterator[_Contribution]:
@@ -101,7 +108,7 @@ def _of_the_ring(linear: Linear, ring: Realised) -> Iterator[_Contribution]:
         columns = linear.scatter[:, part]
         if kind == PIN_RADIUS:
             columns = columns + ring.radius_lever * radial  # radial places are stated for pins of the mean radius
-        left = np.array([one.value for one in ring.elements[part]])
+        left = np.array([element.value for element in ring.elements[part]])
         at = 2.0 * np.pi * np.arange(left.size) / left.size
         for order in range(ORDERS_STATED + 1):
             names = [f"{circle}_{order}{end}" for end in ("" if order == 0 else "_amplitude", "_phase")]
@@ -126,16 +133,16 @@ def _rest(name: str, unit: str, values: Array) -> Parameter:
     return Parameter(name, unit, size, math.nan, (math.nan, math.nan), 0.0)
 
 
-def as_json(one: Effect) -> dict[str, Any]:
+def as_json(effect: Effect) -> dict[str, Any]:
     """Return an effect as in a `cycloid-identification/1` file."""
     parts = {
         name: None if part is None else parameter_as_json(part)
-        for name, part in (("error", one.error), ("phase", one.phase))
+        for name, part in (("error", effect.error), ("phase", effect.phase))
     }
-    return {**dataclasses.asdict(one), **parts}
+    return {**dataclasses.asdict(effect), **parts}
 
 
-def words_of(one: Effect) -> str:
+def words_of(effect: Effect) -> str:
     """Return what an error is, in words.
 
     Examples
@@ -146,14 +153,14 @@ def words_of(one: Effect) -> str:
     >>> words_of(Effect("pin_radial", 2, 0, amplitude, None, 1e-5, 20.0))
     'radial position error of each pin, order 2'
     """
-    kind = kind_of(one.kind)
+    kind = kind_of(effect.kind)
     if kind is None:
-        return one.kind.replace("profile_deviation_", "form of all flanks, half waves: ")
+        return effect.kind.replace("profile_deviation_", "form of all flanks, half waves: ")
     if kind.of == "drive":
         return kind.description
-    parts = [kind.text, f"disc {one.disc}" if one.disc else ""]
-    if one.order is None:
+    parts = [kind.text, f"disc {effect.disc}" if effect.disc else ""]
+    if effect.order is None:
         parts.append("root mean square" if kind.of_supports else f"beyond order {ORDERS_STATED}, root mean square")
     else:
-        parts.append(f"order {one.order}" if one.order else "mean")
+        parts.append(f"order {effect.order}" if effect.order else "mean")
     return ", ".join(part for part in parts if part)

@@ -151,7 +151,7 @@ class Explanation(Search[Hypothesis, Explained]):
             if self.best is before:
                 break
         best, own = self.best, self.best.hypothesis.causes.columns.keys()
-        alike = [one.estimate.disagreeing for one in self.ends if one.hypothesis.causes.columns.keys() == own]
+        alike = [end.estimate.disagreeing for end in self.ends if end.hypothesis.causes.columns.keys() == own]
         return dataclasses.replace(best, estimate=dataclasses.replace(best.estimate, disagreeing=min(alike)))
 
     def is_better(self, end: Explained, best: Explained) -> bool:
@@ -192,7 +192,7 @@ class Explanation(Search[Hypothesis, Explained]):
             return None
         moved = dataclasses.replace(end.observed, give=give, ripple=ripple)
         every = causes(self.pair, moved, linearise(self.pair, moved, end.state))
-        columns = {n: every.get(n, one) for n, one in hypothesis.causes.columns.items()}
+        columns = {n: every.get(n, column) for n, column in hypothesis.causes.columns.items()}
         taken = sum((columns[n] @ values for n, values in coefficients.items()), np.zeros(1))
         own = dataclasses.replace(hypothesis.causes, columns=columns)
         return dataclasses.replace(
@@ -271,8 +271,8 @@ class Explanation(Search[Hypothesis, Explained]):
         return dataclasses.replace(end, disagreeing=start.disagreeing)
 
 
-def _unlikelihood(one: Explained) -> float:
-    return one.estimate.unlikelihood_of_all + _LIKELIER * len(one.hypothesis.doubted)
+def _unlikelihood(explained: Explained) -> float:
+    return explained.estimate.unlikelihood_of_all + _LIKELIER * len(explained.hypothesis.doubted)
 
 
 _Hypotheses = Proposals[Hypothesis, Explained]

@@ -206,13 +206,13 @@ def _evaluated(
     def of(number: int) -> tuple[Linear, tuple[Any, ...]]:
         one = observed.some([number])
         linear = parts[number] if parts else linearised_curve(unknowns.pair, observed, number, state, around)
-        left = one.rows(one.weight * left_of(one, linear, state))
-        is_used = one.weight[: left.size] > 0.0
-        inside = (np.abs(left) <= limit[number]) & is_used
-        scale, count = 1.4826 * np.median(np.abs(left[is_used])), np.count_nonzero(inside)
+        residual = one.rows(one.weight * left_of(one, linear, state))
+        is_used = one.weight[: residual.size] > 0.0
+        inside = (np.abs(residual) <= limit[number]) & is_used
+        scale, count = 1.4826 * np.median(np.abs(residual[is_used])), np.count_nonzero(inside)
         columns = one.rows(unknowns.columns(one, linear))
-        columns[~inside], left[~inside] = 0.0, 0.0
-        told = Evidence.of(columns, left)
+        columns[~inside], residual[~inside] = 0.0, 0.0
+        told = Evidence.of(columns, residual)
         return linear, (
             told.gram,
             told.moment,
@@ -531,13 +531,13 @@ def turn_bootstrap(estimate: Estimate, draws: int, seed: int) -> Array:
     step *= observed.weight * estimate.unknowns.scale[errors, None]
     generator = np.random.default_rng(seed)
     moved = np.zeros((draws, len(estimate.chosen)))
-    left = left_of(observed, estimate.linear, estimate.state)
+    residual = left_of(observed, estimate.linear, estimate.state)
     for curve, part in zip(observed.curves, np.split(np.arange(observed.measured.size), observed.ends), strict=True):
         if curve.each_turn is None:
             continue
         there = np.isfinite(curve.each_turn)
         # A turn's share in the step: few points have a sample of every turn.
-        own = np.where(there, curve.each_turn - curve.transmission_error + left[part], 0.0) / there.sum(axis=0)
+        own = np.where(there, curve.each_turn - curve.transmission_error + residual[part], 0.0) / there.sum(axis=0)
         turns = len(own)
         taken = generator.multinomial(turns, np.full(turns, 1.0 / turns), size=draws).astype(float)
         # Drawn turns scatter less than the turns themselves: n - 1 in place of n.

@@ -171,7 +171,9 @@ class Search:
     def _jacobian(self, parameters: lmfit.Parameters) -> Array:
         vector, _, _, slopes = self._evaluated(self._vector(parameters))
         unknowns = self.start.unknowns
-        varying = [self._names.index(name) for name, one in parameters.items() if one.vary and name in self._names]
+        varying = [
+            self._names.index(name) for name, parameter in parameters.items() if parameter.vary and name in self._names
+        ]
         along = unknowns.along(vector)
         if along is not None:
             scale = unknowns.scale[self._seen]

@@ -205,7 +205,7 @@ def plan(
         sets = [sets[0], wound[0], *sets[1:], wound[1]]
     foretold = _Foretold(drive, ordered, peak, turns, samples, level, spread, shape)
     return [
-        foretold.plan(runs, [(t, way) for t in torques for way in directions], with_loop)
+        foretold.plan(runs, [(t, direction) for t in torques for direction in directions], with_loop)
         for runs, torques, directions, with_loop in sets
     ]
 
@@ -230,8 +230,8 @@ class _Foretold:
         spread = spread_of(pair, self.sizes)
         self.peak = max(torques) if loop is None else loop
         loads = [*torques, *_between(torques)]
-        self.runs = [(t, way) for t in loads for way in (1, -1)]
-        running = [planned_curve(pair.ratio, way * t, way, turns, samples) for t, way in self.runs]
+        self.runs = [(t, direction) for t in loads for direction in (1, -1)]
+        running = [planned_curve(pair.ratio, direction * t, direction, turns, samples) for t, direction in self.runs]
         winding = planned_branches(pair, self.peak, 0.0, 0)
         # The next run may repeat one of these: the same derivatives, but a drift and a zero of its own.
         # Runs begin anywhere between two samples.
@@ -271,8 +271,10 @@ class _Foretold:
         covariance = self._known(chosen, information)
         error = np.sqrt(np.diag(covariance)[: len(chosen)])
         further = {
-            f"{t:g} N·m {'forward' if way > 0 else 'backward'}{' once more' * ((t, way) in runs)}": [self.second + at]
-            for at, (t, way) in enumerate(self.runs)
+            f"{t:g} N·m {'forward' if direction > 0 else 'backward'}{' once more' * ((t, direction) in runs)}": [
+                self.second + at
+            ]
+            for at, (t, direction) in enumerate(self.runs)
         }
         further[f"a loop to {self.peak:g} N·m{' once more' * with_loop}"] = [self.second + at for at in loop]
         nexts = []

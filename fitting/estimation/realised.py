@@ -78,8 +78,8 @@ class Realised:
         """The same without intervals, for curves that are not explained."""
         return dataclasses.replace(
             self,
-            elements=tuple(withheld(one) for one in self.elements),
-            orders=tuple(withheld(one) for one in self.orders),
+            elements=tuple(withheld(element) for element in self.elements),
+            orders=tuple(withheld(order) for order in self.orders),
         )
 
 
@@ -132,8 +132,8 @@ def displaced(pair: Pair, surface: ErrorSurface, radius_lever: float = 0.0) -> A
     """
     every = _as_thick_as_the_mean(pair, radius_lever) @ _of_pins_and_teeth(pair, displacement_vector(pair, surface))
     directions = gauge(pair)
-    left: Array = every - directions @ (directions.T @ every)
-    return left
+    residual: Array = every - directions @ (directions.T @ every)
+    return residual
 
 
 def displaced_covariance(pair: Pair, chosen: Sequence[str], covariance: Array, radius_lever: float = 0.0) -> Array:
@@ -251,9 +251,9 @@ def realised(drive: DriveValue, chosen: Sequence[str], covariance: Array, spread
         elements.append(one)
     circles = _circles(pair)
     orders = [
-        one
+        order
         for n, part in circles.items()
-        for one in _orders(n, values[part], variance[part, part], before[part, part], pair.discs)
+        for order in _orders(n, values[part], variance[part, part], before[part, part], pair.discs)
     ]
     return Realised(tuple(elements), tuple(orders), variance, circles, lever)
 
@@ -273,20 +273,20 @@ def _own_information(covariance: Array, spread: Array) -> Array:
 
 
 def _circles(pair: Pair) -> dict[str, slice]:
-    found = {}
+    circles = {}
     for name, part in estimated_parts(pair).items():
         if name != "tooth_cumulative_pitch" or pair.discs == 1:
-            found[name] = part
+            circles[name] = part
             continue
         for disc in range(pair.discs):
             first = part.start + disc * pair.gear_teeth
-            found[f"{name}_of_disc_{disc + 1}"] = slice(first, first + pair.gear_teeth)
-    return found
+            circles[f"{name}_of_disc_{disc + 1}"] = slice(first, first + pair.gear_teeth)
+    return circles
 
 
 def _orders(name: str, values: Array, covariance: Array, before: Array, discs: int) -> list[Parameter]:
     """Amplitude and phase of the orders outside the gauge, each with its standard error to first order."""
-    found, count = [], values.size
+    parameters, count = [], values.size
     at = 2.0 * np.pi * np.arange(count) / count
     for order in range(ORDERS_STATED + 1):
         # Of means the gauge leaves the differences between the discs.
@@ -302,10 +302,10 @@ def _orders(name: str, values: Array, covariance: Array, before: Array, discs: i
             float(np.sqrt(max(w @ c @ w, 0.0))) for w, c in ((along, covariance), (across, covariance), (along, before))
         )
         if order == 0:
-            found.append(parameter(f"{name}_0", "m", float(cos), error, unmeasured))
+            parameters.append(parameter(f"{name}_0", "m", float(cos), error, unmeasured))
             continue
         one = parameter(f"{name}_{order}_amplitude", "m", amplitude, error, unmeasured)
-        found.append(dataclasses.replace(one, interval=(max(one.interval[0], 0.0), one.interval[1])))
+        parameters.append(dataclasses.replace(one, interval=(max(one.interval[0], 0.0), one.interval[1])))
         error = min(turn / max(amplitude, 1e-15), np.pi / NORMAL)
-        found.append(parameter(f"{name}_{order}_phase", "rad", phase, error, float(np.pi / np.sqrt(3.0))))
-    return found
+        parameters.append(parameter(f"{name}_{order}_phase", "rad", phase, error, float(np.pi / np.sqrt(3.0))))
+    return parameters

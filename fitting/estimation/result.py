@@ -289,7 +289,7 @@ def result_of(
         # Loading lmfit takes as much processor time as a third of a fit of six recordings.
         search = Search(confirmed(search.start, GAIN))
     optimum = search.start if decided is None and not profiled else search.end
-    found, every = stated(optimum)
+    estimates, every = stated(optimum)
     fit = dataclasses.replace(optimum, observed=fit.observed)
     state, linear = fit.state, fit.linear
     fitted = np.concatenate([c.transmission_error for c in observed.curves]) - left_of(observed, linear, state)
@@ -300,28 +300,28 @@ def result_of(
         added = np.maximum(turns**2 - (inflation * white) ** 2, 0.0)
         every[np.diag_indices(len(chosen))] += added
     quantiles = stdtrit(freedom(fit, every, known), 0.5 + 0.5 * CONFIDENCE)
-    singular, combinations, reasons, beside = weakness(pair, observed, linear, chosen)
+    singular, combinations, reasons, unfitted = weakness(pair, observed, linear, chosen)
     by_user = set() if decided is None else {*decided.held}
-    beside = tuple(n for n in beside if n not in by_user)
+    unfitted = tuple(n for n in unfitted if n not in by_user)
     # Held errors that no fitted one represents may be as large as is usual; the intervals allow for it.
-    moved_by = moved_by_held(fit, beside)
+    moved_by = moved_by_held(fit, unfitted)
     every += moved_by @ moved_by.T
     unknowns = fit.unknowns
     before_scatter = slice(0, unknowns.scatter.start)
-    table = with_covariance(found, every[before_scatter, before_scatter])
-    held = [one for one in names if one not in chosen]
+    table = with_covariance(estimates, every[before_scatter, before_scatter])
+    held = [name for name in names if name not in chosen]
     for name, sigma in zip(held, tolerances_of(held, observed.profile), strict=True):
-        table[name] = dataclasses.replace(found[name], stderr=0.0 if name in by_user else float(sigma))
+        table[name] = dataclasses.replace(estimates[name], stderr=0.0 if name in by_user else float(sigma))
     own = observed.bearing_names
     bench = {n: p.value for n, p in table.items() if n not in names and n not in own}
     bench[CHAIN] = _chain_compliance(observed, bench)
     deviations = np.array([table[n].stderr for n in own], dtype=float)
     if own:
-        moved_by = moved_by_held(fit, [n for n in names if n not in (*chosen, *beside, *by_user)])
+        moved_by = moved_by_held(fit, [n for n in names if n not in (*chosen, *unfitted, *by_user)])
         deviations = np.hypot(deviations, np.linalg.norm(moved_by[unknowns.bearings], axis=1))
     of_drive = bearings_found(pair, observed, state.bearings, deviations)
     separation = separation_notes(unknowns.names, every, [p.name for p in of_drive if p.held is None])
-    made = pair_with(pair, state.bearings, rounded=True)
+    identified_pair = pair_with(pair, state.bearings, rounded=True)
     whole, own_rows = every, np.r_[unknowns.errors, unknowns.scatter]
     every = every[np.ix_(own_rows, own_rows)]
     covariance = every[: len(chosen), : len(chosen)]
@@ -338,37 +338,37 @@ def result_of(
         if name in chosen:
             sigma, quantile = float(error[chosen.index(name)]), float(quantiles[chosen.index(name)])
             value = structured_value(plain, name)
-            one = parameter(name, unit_of(name), value, sigma, float(tolerance), quantile=quantile)
-            if name in profiled and found[name].expr is None:
+            unknown = parameter(name, unit_of(name), value, sigma, float(tolerance), quantile=quantile)
+            if name in profiled and estimates[name].expr is None:
                 progress(f"profile of {name}")
                 interval = search.interval(name, quantile * sigma, quantile**2)
-                one = dataclasses.replace(one, interval=interval)
-            one = allowing(one, float(moved[name]), float(tolerance))
+                unknown = dataclasses.replace(unknown, interval=interval)
+            unknown = allowing(unknown, float(moved[name]), float(tolerance))
         else:
             value, sigma = structured_value(prior, name), 0.0 if name in by_user else float(tolerance)
             why = "the given parameters hold it at this value" if name in by_user else reasons[name]
-            one = parameter(name, unit_of(name), value, sigma, float(tolerance), why)
-        parameters.append(one)
+            unknown = parameter(name, unit_of(name), value, sigma, float(tolerance), why)
+        parameters.append(unknown)
     ring = realised(DriveValue(pair, state.surface), chosen, every, spread)
     run_out = run_outs_of(observed, table)
-    told = verdict.state != "not explained"
-    if not told:
-        run_out = tuple(one.withheld() for one in run_out)
-        parameters, ring = [withheld(one) for one in parameters], ring.withheld()
-        of_drive = [withheld(one) for one in of_drive]
+    explained = verdict.state != "not explained"
+    if not explained:
+        run_out = tuple(wave.withheld() for wave in run_out)
+        parameters, ring = [withheld(unknown) for unknown in parameters], ring.withheld()
+        of_drive = [withheld(unknown) for unknown in of_drive]
         lag = withheld(lag) if lag else None
     verdict = with_run_out(verdict, run_out)
     surface = state.surface.replace(
-        pair=made.nominal,
+        pair=identified_pair.nominal,
         origin="identified",
-        covariance_of=(*chosen, *scatter_names(pair)) if told else (),
-        covariance=every if told else None,
+        covariance_of=(*chosen, *scatter_names(pair)) if explained else (),
+        covariance=every if explained else None,
         attributes={"data": " ".join(f"{c.checksum}" for c in observed.curves)},
     )
     stage = observed.first_stage
     stage = None if stage is None else with_play(stage, float(state.bearings[-1]))
-    is_prior = told and not observed.fit_crank
-    posterior = _posterior(fit, Drive(made, surface, stage), whole + of_form) if is_prior else None
+    is_prior = explained and not observed.fit_crank
+    posterior = _posterior(fit, Drive(identified_pair, surface, stage), whole + of_form) if is_prior else None
     used = (observed.weight > 0.0) & ~observed.of_loops
     parts = np.split(fitted, observed.ends)
     outliers = dict.fromkeys((c.source for c in observed.curves), 0)
@@ -379,9 +379,11 @@ def result_of(
         parameters=tuple(parameters),
         realised=ring,
         effects=effects_of(pair, observed, linear, state, parameters, ring),
-        bearings=tuple(one for one in of_drive if not is_coefficient(one.name)),
+        bearings=tuple(unknown for unknown in of_drive if not is_coefficient(unknown.name)),
         coefficients=tuple(
-            dataclasses.replace(one, name=key_of(one.name)) for one in of_drive if is_coefficient(one.name)
+            dataclasses.replace(unknown, name=key_of(unknown.name))
+            for unknown in of_drive
+            if is_coefficient(unknown.name)
         ),
         clock_lag=lag,
         run_out=run_out,
@@ -399,10 +401,10 @@ def result_of(
         outliers=outliers,
         held_out=predicted,
         fitted_curves=tuple(parts[i] for i in observed.running),
-        loops=_loops(made, fit, parts, every),
+        loops=_loops(identified_pair, fit, parts, every),
         checksums={c.source: c.checksum for c in observed.curves},
         implausible={c.source: c.implausible for c in observed.curves},
-        other_descriptions=tuple(_structured(pair, one) for one in others),
+        other_descriptions=tuple(_structured(pair, other) for other in others),
         notes=(
             *((lag_note(lag),) if lag else ()),
             *_notes(pair, fit, verdict, run_out),
@@ -411,12 +413,16 @@ def result_of(
             *form_note(parameters, form),
             *tilt_notes(DriveValue(pair, state.surface)),
             *_of_discs(len(others)),
-            *(_at_bound(n, found[n], decided) for n in chosen if _bounded(found[n])),
+            *(_at_bound(n, estimates[n], decided) for n in chosen if _bounded(estimates[n])),
             *(f"{n} is held, so it has no profile: {reasons[n]}." for n in profiled if n not in chosen),
-            *(f"{n} is tied to others, so it has no profile." for n in profiled if n in found and found[n].expr),
+            *(
+                f"{n} is tied to others, so it has no profile."
+                for n in profiled
+                if n in estimates and estimates[n].expr
+            ),
             *dict.fromkeys(note for curve in observed.curves for note in curve.notes),
         ),
-        pair=made,
+        pair=identified_pair,
         first_stage=stage,
         posterior=posterior,
         curves=tuple(observed.curves[i] for i in observed.running),
@@ -458,8 +464,8 @@ def _bounded(parameter: Confirmed) -> bool:
     return any(abs(parameter.value - end) <= _AT_BOUND * abs(end) for end in ends)
 
 
-def _at_bound(name: str, one: Confirmed, decided: Constraints | None) -> str:
-    ends = f"{name} ends at {one.value * 1e3:.2g} {'mm' if unit_of(name) == 'm' else 'mrad'}, "
+def _at_bound(name: str, confirmed: Confirmed, decided: Constraints | None) -> str:
+    ends = f"{name} ends at {confirmed.value * 1e3:.2g} {'mm' if unit_of(name) == 'm' else 'mrad'}, "
     if decided is not None and name in decided.bounds:
         return f"{ends}a bound of the given parameters."
     return f"{ends}as far as it can be; check counts per turn, directions and the pair file."
@@ -467,7 +473,7 @@ def _at_bound(name: str, one: Confirmed, decided: Constraints | None) -> str:
 
 def _loops(pair: Pair, fit: Estimate, fitted: Sequence[Array], covariance: Array) -> tuple[LoopFit, ...]:
     """Each loop as measured and fitted, and its play with the standard error due to the errors."""
-    observed, chosen, found = fit.observed, list(fit.chosen), []
+    observed, chosen, loops = fit.observed, list(fit.chosen), []
     stage = observed.first_stage
     if stage is not None:
         stage = with_play(stage, float(fit.state.bearings[-1]))
@@ -481,7 +487,7 @@ def _loops(pair: Pair, fit: Estimate, fitted: Sequence[Array], covariance: Array
             play = s * (play + stage.bearing_play + stage.crank_play / pair.gear_teeth)
             by_error, each = s * by_error, s * each
         slope = np.concatenate([by_error, scatter_columns(pair, each)])
-        found.append(
+        loops.append(
             LoopFit(
                 source,
                 crank,
@@ -492,7 +498,7 @@ def _loops(pair: Pair, fit: Estimate, fitted: Sequence[Array], covariance: Array
                 float(np.sqrt(max(slope @ covariance @ slope, 0.0))),
             )
         )
-    return tuple(found)
+    return tuple(loops)
 
 
 def _ambiguity(pair: Pair, fit: Estimate) -> list[str]:
@@ -565,16 +571,20 @@ def _notes(pair: Pair, fit: Estimate, verdict: Verdict, run_out: Sequence[RunOut
         )
     notes += _ambiguity(pair, fit)
     gear = np.abs(fit.linear.model - fit.linear.model.mean()).max()
-    for one in run_out:
-        if one.order == 1 and one.amplitude > gear:
+    for wave in run_out:
+        if wave.order == 1 and wave.amplitude > gear:
             notes.append(
-                f"Run-out of {one.text} is more than the gear's effect in total: an encoder is mounted eccentrically, "
+                f"Run-out of {wave.text} is more than the gear's effect in total: an encoder is mounted eccentrically, "
                 "or the shafts are not aligned."
             )
-    for curve, left in zip(fit.observed.curves, np.split(fit.observed.weight == 0.0, fit.observed.ends), strict=True):
-        if left.any():
+    for curve, outliers in zip(
+        fit.observed.curves, np.split(fit.observed.weight == 0.0, fit.observed.ends), strict=True
+    ):
+        if outliers.any():
             named = ", ".join(n for n in (curve.source, curve.branch) if n)
-            notes.append(f"{named}: {np.count_nonzero(left)} of {left.size} points are outliers and were left out.")
+            notes.append(
+                f"{named}: {np.count_nonzero(outliers)} of {outliers.size} points are outliers and were left out."
+            )
     return tuple(notes)
 
 
@@ -603,8 +613,8 @@ def as_json(result: Identification) -> dict[str, Any]:
             "elements": {p.name: parameter_as_json(p) for p in result.realised.elements},
             "orders": {p.name: parameter_as_json(p) for p in result.realised.orders},
         },
-        "effects": [effect_as_json(one) for one in result.effects],
-        "run_out": [dataclasses.asdict(one) for one in result.run_out],
+        "effects": [effect_as_json(effect) for effect in result.effects],
+        "run_out": [dataclasses.asdict(wave) for wave in result.run_out],
         **({"bearings": {p.name: parameter_as_json(p) for p in result.bearings}} if result.bearings else {}),
         **(
             {"coefficients": {p.name: parameter_as_json(p) for p in result.coefficients}} if result.coefficients else {}
@@ -622,8 +632,8 @@ def as_json(result: Identification) -> dict[str, Any]:
         "residual": result.residual,
         "outliers": result.outliers,
         "loops": {
-            one.source: {"crank_angle": one.crank_angle, "play": one.play, "standard_error": one.standard_error}
-            for one in result.loops
+            loop.source: {"crank_angle": loop.crank_angle, "play": loop.play, "standard_error": loop.standard_error}
+            for loop in result.loops
         },
         "held_out": None if result.held_out is None else dataclasses.asdict(result.held_out),
         "data": result.checksums,

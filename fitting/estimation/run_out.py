@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from cycloid_fmu.edge import ARCSEC
 from fitting.estimation.confirmation import Confirmed
 from fitting.estimation.parameter import NORMAL
-from fitting.model.discrepancy import RUN_OUT, RUN_OUT_CAUSE
+from fitting.model.discrepancy import RUN_OUT_CAUSE
 from fitting.model.observations import MISFIT, Observations
+from fitting.transmission_error.spectrum import RIG_ORDERS
 
 Array = NDArray[np.float64]
 
@@ -54,23 +55,23 @@ class RunOut:
         return dataclasses.replace(self, standard_error=math.nan)
 
 
-def run_outs_of(observed: Observations, found: Mapping[str, Confirmed]) -> tuple[RunOut, ...]:
+def run_outs_of(observed: Observations, confirmed: Mapping[str, Confirmed]) -> tuple[RunOut, ...]:
     """Return the run-out of each shaft by its orders: eccentric encoders and the cause of misfit together.
 
     Parameters
     ----------
     observed
         The observations of the fit.
-    found
+    confirmed
         Its unknowns, with the standard errors and correlations of the bench's.
     """
     crank_shaft = "input" if observed.first_stage is None else "crank"
     waves: dict[str, tuple[str, int, int]] = {}  # shaft, order, and 0 for cosine or 1 for sine
     for part, end in enumerate(("cos", "sin")):
         waves |= {f"{shaft}_encoder_eccentricity_{end}": (shaft, 1, part) for shaft in ("output", "input")}
-        for number, order in enumerate(RUN_OUT):
-            for place, shaft in enumerate(("output", crank_shaft)):
-                waves[f"{MISFIT}_{RUN_OUT_CAUSE}_{4 * number + 2 * place + part}"] = shaft, order, part
+        for number, order in enumerate(RIG_ORDERS):
+            for index, shaft in enumerate(("output", crank_shaft)):
+                waves[f"{MISFIT}_{RUN_OUT_CAUSE}_{4 * number + 2 * index + part}"] = shaft, order, part
     groups: dict[tuple[str, int], list[tuple[str, int]]] = {}
     for name in observed.bench_names:
         if name in waves:
@@ -78,7 +79,7 @@ def run_outs_of(observed: Observations, found: Mapping[str, Confirmed]) -> tuple
             groups.setdefault((shaft, order), []).append((name, part))
     of = dict(zip(observed.bench_names, observed.bench.T, strict=True))
     return tuple(
-        _run_out(shaft, order, [(name, part, _amplitude(of[name])) for name, part in names], found)
+        _run_out(shaft, order, [(name, part, _amplitude(of[name])) for name, part in names], confirmed)
         for (shaft, order), names in groups.items()
     )
 
@@ -87,11 +88,11 @@ def _amplitude(column: Array) -> float:
     return float(np.abs(column).max())
 
 
-def _run_out(shaft: str, order: int, names: list[tuple[str, int, float]], found: Mapping[str, Confirmed]) -> RunOut:
+def _run_out(shaft: str, order: int, names: list[tuple[str, int, float]], confirmed: Mapping[str, Confirmed]) -> RunOut:
     size = np.zeros((2, len(names)))
     for at, (_, part, amplitude) in enumerate(names):
         size[part, at] = amplitude
-    known = [found[name] for name, _, _ in names]
+    known = [confirmed[name] for name, _, _ in names]
     errors = np.array([one.stderr or 0.0 for one in known])
     correlation = np.array(
         [

@@ -125,7 +125,7 @@ class Multistart(Search[Start, Estimate]):
     @property
     def is_agreed(self) -> bool:
         """Whether the two best ends are the same optimum."""
-        best = sorted(one.unlikelihood for one in self.ends)
+        best = sorted(end.unlikelihood for end in self.ends)
         return len(best) > 1 and best[1] < best[0] + _AGREE * self.few.measured.size
 
     def is_better(self, end: Estimate, best: Estimate) -> bool:
@@ -233,7 +233,10 @@ def _with_pins_put_back(search: Multistart) -> _Starts:
 
 def descriptions(pair: Pair, estimate: Estimate) -> tuple[State, ...]:
     """Return the states of a fit as described from each other disc as the first."""
-    return tuple(_described(pair, estimate, one) for one in other_descriptions(pair, estimate.state.surface))
+    return tuple(
+        _described(pair, estimate, other_description)
+        for other_description in other_descriptions(pair, estimate.state.surface)
+    )
 
 
 def _described(pair: Pair, estimate: Estimate, surface: ErrorSurface) -> State:

@@ -22,6 +22,7 @@ from fitting.estimation.run_out import RunOut
 from fitting.model.discrepancy import BESIDE_THE_GEAR, FORM, RUN_OUT_CAUSE, SENTENCES, is_whole, waves, way
 from fitting.model.gaussian import Gaussian, truncated
 from fitting.model.observations import CHAIN, CREEP, MISFIT, Observations, with_scatter
+from fitting.transmission_error.spectrum import coefficients_of
 
 Array = NDArray[np.float64]
 
@@ -183,8 +184,8 @@ class Residual:
             unit[at] = 1.0
             # The prior pulls an estimate towards zero; one whose size is estimated as well scatters about the truth.
             usual = (self.observed.chain_prior / unknowns.scale[at]) ** 2 if name == CHAIN else 1.0 / precision[at]
-            left = float(self.posterior.solve(unit)[at])
-            spread = usual + left if name in self.observed.estimated else usual - left
+            variance = float(self.posterior.solve(unit)[at])
+            spread = usual + variance if name in self.observed.estimated else usual - variance
             if spread > (1.0 - _FREE) * usual:
                 square = float(estimate.vector[at] + step[at]) ** 2 / spread
                 pull = float(special.chdtrc(1, square)), square
@@ -251,15 +252,15 @@ def _creeps_with_load(estimate: Estimate) -> dict[str, tuple[float, float]]:
         ),
     )
     line = np.column_stack([np.ones_like(torque), torque, np.sign(torque)])
-    left = float(np.sum((zero - line @ np.linalg.lstsq(line, zero, rcond=None)[0]) ** 2))
+    residual = float(np.sum((zero - line @ np.linalg.lstsq(line, zero, rcond=None)[0]) ** 2))
     every, free = float(np.sum((zero - zero.mean()) ** 2)), zero.size - 3
-    if not every > left > 0.0:
+    if not every > residual > 0.0:
         return {}
-    chance = float(special.fdtrc(2, free, 0.5 * free * (every / left - 1.0)))
-    return {"compliance": (chance, zero.size * float(np.log(every / left)))}
+    chance = float(special.fdtrc(2, free, 0.5 * free * (every / residual - 1.0)))
+    return {"compliance": (chance, zero.size * float(np.log(every / residual)))}
 
 
-def order_powers(observed: Observations, left: Array) -> tuple[int, list[Array]]:
+def order_powers(observed: Observations, residual: Array) -> tuple[int, list[Array]]:
     """Return the power of the residual at the orders of the output.
 
     Returns
@@ -269,7 +270,7 @@ def order_powers(observed: Observations, left: Array) -> tuple[int, list[Array]]
     powers
         Of each running curve, in units of what white noise has.
     """
-    parts = np.split(np.arange(left.size), observed.ends)
+    parts = np.split(np.arange(residual.size), observed.ends)
     ways = {i: way(observed.curves[i]) for i in observed.running}
     turns = max(1, min(round(float(np.ptp(one))) for one in ways.values()))
     found = []
@@ -277,18 +278,18 @@ def order_powers(observed: Observations, left: Array) -> tuple[int, list[Array]]
         part = parts[number]
         highest = min(part.size // 2, _HIGHEST * turns)
         points = 1 << int(np.ceil(np.log2(32 * max(highest, 2))))
-        place = np.mod(turned / turns, 1.0)
-        gathered = np.bincount((place * points).astype(np.int64) % points, left[part], points)
-        count = max(np.count_nonzero(observed.weight[part]), 1)
-        found.append(np.abs(np.fft.rfft(gathered)[1 : highest + 1]) ** 2 / count)
+        phase = np.mod(turned / turns, 1.0)
+        gathered = np.bincount((phase * points).astype(np.int64) % points, residual[part], points)
+        count = max(int(np.count_nonzero(observed.weight[part])), 1)
+        found.append(np.abs(coefficients_of(gathered, count)[1 : highest + 1]) ** 2 * (0.25 * count))
     return turns, found
 
 
-def yardsticks(observed: Observations, left: Array) -> Array:
-    """Noise of a point of each running curve, in units of the noise of `left`, from repetitions or between orders."""
+def yardsticks(observed: Observations, residual: Array) -> Array:
+    """Noise of a point of each running curve, in units of that of `residual`, from repetitions or between orders."""
     found = []
-    parts = np.split(np.arange(left.size), observed.ends)
-    for number, power in zip(observed.running, order_powers(observed, left)[1], strict=True):
+    parts = np.split(np.arange(residual.size), observed.ends)
+    for number, power in zip(observed.running, order_powers(observed, residual)[1], strict=True):
         curve, part = observed.curves[number], parts[number]
         slope = np.abs(np.gradient(curve.transmission_error, curve.input_angle)) if part.size > 2 else np.zeros(1)
         spread = np.zeros(1) if curve.angle_variance is None else np.sqrt(curve.angle_variance)
@@ -301,9 +302,9 @@ def yardsticks(observed: Observations, left: Array) -> Array:
     return np.array(found)
 
 
-def peak(observed: Observations, left: Array) -> float | None:
+def peak(observed: Observations, residual: Array) -> float | None:
     """Order of the output with the largest peak in the residual of one curve or all together; None without a peak."""
-    turns, powers = order_powers(observed, left)
+    turns, powers = order_powers(observed, residual)
     least = min(p.size for p in powers)
     looked = least + sum(p.size for p in powers)
     together = np.sum([p[:least] for p in powers], axis=0)
@@ -313,9 +314,9 @@ def peak(observed: Observations, left: Array) -> float | None:
         return None
     # Between the orders that the turns resolve.
     near = (int(np.argmin(best)) + 1 + np.linspace(-1.0, 1.0, 41)) / turns
-    parts = np.split(np.arange(left.size), observed.ends)
+    parts = np.split(np.arange(residual.size), observed.ends)
     power = sum(
-        np.abs(np.exp(-2j * np.pi * np.outer(near, way(observed.curves[i]))) @ left[parts[i]]) ** 2
+        np.abs(np.exp(-2j * np.pi * np.outer(near, way(observed.curves[i]))) @ residual[parts[i]]) ** 2
         for i in observed.running
     )
     order = float(near[int(np.argmax(power))])
@@ -356,7 +357,7 @@ def failures(residual: Residual, left: Array) -> tuple[list[str], Array]:
     if excess > max(_MORE, np.exp(4.0 * 0.72 / np.sqrt(0.5 * np.count_nonzero(~observed.of_loops)))):
         failed.append(f"the residual is {excess:.2g} times the noise")
     groups = groups_of(observed)
-    contradicting = [name for name, one in groups.items() if residual.contradicts(one) * len(groups) < FALSE_ALARM]
+    contradicting = [name for name, group in groups.items() if residual.contradicts(group) * len(groups) < FALSE_ALARM]
     if contradicting:
         failed.append(f"{', '.join(contradicting)} and the others contradict each other")
     return failed, yardstick
@@ -415,7 +416,7 @@ def causes_of(
     found = {name: columns[name] for name in known.columns if name in columns} if known else {}
     pulls, formed = residual.pulls, False
     alike = dict(known.alike) if known else {}
-    rest = {name: one for name, one in columns.items() if name not in found}
+    rest = {name: column for name, column in columns.items() if name not in found}
     while rest:
         scores = {name: residual.score(one) for name, one in rest.items()}
         chances = {n: min(chance, pulls.get(n, (1.0, 0.0))[0]) for n, (chance, _) in scores.items()}

@@ -17,10 +17,11 @@ from scipy.special import stdtrit
 
 from cycloid_fmu import edge
 from fitting.figures.figure import Figure, pooled
-from fitting.figures.hysteresis import Lobe, LoopData, find_loops, loop_figures
+from fitting.figures.hysteresis import loop_figures
 from fitting.figures.instruments import Encoder, Instruments, TorqueSensor, standard_uncertainty
-from fitting.figures.spectrum import RIG_ORDERS, Spectrum, range_of, run_label, without_orders
-from fitting.figures.survey import Surveyed
+from fitting.transmission_error.loops import Lobe, LoopData, find_loops
+from fitting.transmission_error.spectrum import RIG_ORDERS, Spectrum, range_of, run_label, without_orders
+from fitting.transmission_error.survey import Surveyed
 
 Array = NDArray[np.float64]
 # Root of the sum of the squared weights of the readings that make up a figure.
@@ -92,12 +93,12 @@ class Budget:
     @property
     def standard_uncertainty(self) -> float:
         """Combined standard uncertainty u_c, SI (JCGM 100, equation 10)."""
-        return math.hypot(*(one.contribution for one in self.contributions))
+        return math.hypot(*(contribution.contribution for contribution in self.contributions))
 
     @property
     def degrees(self) -> float:
         """Effective degrees of freedom by Welch and Satterthwaite (JCGM 100, equation G.2b)."""
-        below = sum(one.contribution**4 / one.degrees for one in self.contributions)
+        below = sum(contribution.contribution**4 / contribution.degrees for contribution in self.contributions)
         return self.standard_uncertainty**4 / below if below > 0.0 else math.inf
 
     @property
@@ -363,7 +364,7 @@ def budgets_of(
     """
     progress("uncertainty budgets")
     loops = _of_loops(surveyed, instruments, ratio if ratio is not None else surveyed[0].overview.ratio)
-    found = {}
+    budgets = {}
     for name, figure in figures.items():
         if not math.isfinite(figure.uncertainty):
             continue
@@ -398,8 +399,8 @@ def budgets_of(
                     warm.coefficient(name),
                 )
             )
-        found[name] = Budget(name, figure.value, figure.unit, tuple(rows))
-    return found
+        budgets[name] = Budget(name, figure.value, figure.unit, tuple(rows))
+    return budgets
 
 
 def budget_json(budget: Budget) -> dict[str, Any]:
@@ -415,16 +416,16 @@ def budget_json(budget: Budget) -> dict[str, Any]:
         "expanded_uncertainty": budget.expanded,
         "contributions": [
             {
-                "source": one.source,
-                "type": one.kind,
-                "distribution": one.distribution,
-                "standard_uncertainty": one.standard_uncertainty,
-                "unit": one.unit,
-                "sensitivity": one.sensitivity,
-                "contribution": one.contribution,
-                "degrees_of_freedom": finite(one.degrees),
+                "source": contribution.source,
+                "type": contribution.kind,
+                "distribution": contribution.distribution,
+                "standard_uncertainty": contribution.standard_uncertainty,
+                "unit": contribution.unit,
+                "sensitivity": contribution.sensitivity,
+                "contribution": contribution.contribution,
+                "degrees_of_freedom": finite(contribution.degrees),
             }
-            for one in budget.contributions
+            for contribution in budget.contributions
         ],
     }
 
@@ -450,17 +451,17 @@ def budget_rows(budget: Budget) -> list[list[str]]:
         return f"{number:.3g}" if of.contribution > 1e-6 * budget.standard_uncertainty else "0"
 
     rows = []
-    for one in sorted(budget.contributions, key=lambda c: -c.contribution):
-        own, of = field_factor(one.unit)
+    for contribution in sorted(budget.contributions, key=lambda c: -c.contribution):
+        own, of = field_factor(contribution.unit)
         rows.append(
             [
-                one.source,
-                one.kind,
-                one.distribution,
-                f"{one.standard_uncertainty * own:.3g} {of}",
-                shown(one, one.sensitivity * factor / own),
-                f"{shown(one, one.contribution * factor)} {unit}",
-                degrees(one.degrees),
+                contribution.source,
+                contribution.kind,
+                contribution.distribution,
+                f"{contribution.standard_uncertainty * own:.3g} {of}",
+                shown(contribution, contribution.sensitivity * factor / own),
+                f"{shown(contribution, contribution.contribution * factor)} {unit}",
+                degrees(contribution.degrees),
             ]
         )
     rows.append(

@@ -99,7 +99,7 @@ def loss_coefficients(fit: FrictionFit, drive: DriveValue, loop: str | os.PathLi
     """
     figures, notes = _coefficients(fit, drive)
     if loop is not None:
-        moved = with_coefficients(drive, {name: one.value for name, one in figures.items()})
+        moved = with_coefficients(drive, {name: figure.value for name, figure in figures.items()})
         at_rest, said = _static_of(moved, loop)
         figures, notes = figures | at_rest, notes + said
     return dataclasses.replace(fit, coefficients=figures, notes=(*fit.notes, *notes))
@@ -271,8 +271,8 @@ def _fitted(
     for _ in range(_ITERATIONS):
         predicted = _predict(with_coefficients(drive, now), stretches, load, measured)
         linear = sum((max(now[name], 0.0) * predicted.by[name] for name in now), np.zeros(load.size))
-        left = dataclasses.replace(stretches, torque=stretches.torque - predicted.torque + linear)
-        result = fit_columns({**{name: predicted.by[name] for name in now}, **others}, left)
+        residual = dataclasses.replace(stretches, torque=stretches.torque - predicted.torque + linear)
+        result = fit_columns({**{name: predicted.by[name] for name in now}, **others}, residual)
         before, now = now, {name: float(result.values[result.names.index(name)]) for name in now}
         if all(abs(now[name] - before[name]) <= _CLOSE * abs(now[name]) for name in now):
             break

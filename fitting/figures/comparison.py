@@ -153,7 +153,7 @@ def _interval(figure: Figure) -> str:
     return f"{low:.4g} … {high:.4g} {figure.interval_unit}"
 
 
-def comparison_json(found: Comparison) -> dict[str, Any]:
+def comparison_json(comparison: Comparison) -> dict[str, Any]:
     """Return a comparison as JSON data for scripts, SI."""
     return {
         **{
@@ -165,9 +165,9 @@ def comparison_json(found: Comparison) -> dict[str, Any]:
                 "unit": c.before.unit,
                 "moved": c.moved,
             }
-            for c in found.changes
+            for c in comparison.changes
         },
-        "notes": list(found.notes),
+        "notes": list(comparison.notes),
     }
 
 

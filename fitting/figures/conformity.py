@@ -185,12 +185,12 @@ class Decision:
     verdict: Verdict
 
 
-def decisions_of(found: Figures, certificate: Certificate) -> list[Decision]:
+def decisions_of(figures: Figures, certificate: Certificate) -> list[Decision]:
     """Return the decision on each figure that has a limit, with the expanded uncertainty of its budget."""
     decisions = []
     for name, limit in certificate.limits.items():
         low, high = limit.bounds(UNITS[name])
-        figure, budget = found.figures.get(name), found.budgets.get(name)
+        figure, budget = figures.figures.get(name), figures.budgets.get(name)
         value = math.nan if figure is None else figure.value
         expanded, factor = (math.nan, math.nan) if budget is None else (budget.expanded, budget.coverage_factor)
         verdict = decide(value, expanded, low, high, certificate.decision_rule)
@@ -200,5 +200,5 @@ def decisions_of(found: Figures, certificate: Certificate) -> list[Decision]:
 
 def verdict_of(decisions: Sequence[Decision]) -> Verdict:
     """Return the verdict on the drive: fail if one figure fails, undecided if none fails and one is undecided."""
-    verdicts = {one.verdict for one in decisions}
+    verdicts = {decision.verdict for decision in decisions}
     return "fail" if "fail" in verdicts else "pass" if verdicts == {"pass"} else "undecided"

@@ -93,9 +93,9 @@ class Figure:
     def shown(self) -> dict[str, Figure]:
         """Parts, segments and runs by the names under which a table shows them."""
         between = {
-            f"{name}, {one.interval[0]:.4g} … {one.interval[1]:.4g} N·m": one
-            for name, one in self.segments.items()
-            if one.interval is not None
+            f"{name}, {segment.interval[0]:.4g} … {segment.interval[1]:.4g} N·m": segment
+            for name, segment in self.segments.items()
+            if segment.interval is not None
         }
         return {**self.parts, **between, **{Path(run).name: one for run, one in self.runs.items()}}
 
@@ -122,7 +122,7 @@ def pooled(figures: Sequence[Figure]) -> Figure:
         name: pooled(
             [f.segments[name] for f in figures if name in f.segments and f.segments[name].interval == interval]
         )
-        for name, interval in {n: one.interval for f in figures for n, one in f.segments.items()}.items()
+        for name, interval in {n: segment.interval for f in figures for n, segment in f.segments.items()}.items()
     }
     return Figure(
         value,
@@ -181,7 +181,7 @@ def figure_json(figure: Figure) -> dict[str, Any]:
         found["remark"] = figure.remark
     found.update({side: figure_json(part) for side, part in figure.parts.items()})
     if figure.segments:
-        found["segments"] = {name: figure_json(one) for name, one in figure.segments.items()}
+        found["segments"] = {name: figure_json(segment) for name, segment in figure.segments.items()}
     if figure.runs:
         found["runs"] = {name: figure_json(run) for name, run in figure.runs.items()}
     return found

@@ -35,9 +35,9 @@ from fitting.arguments import check_ratio, positive
 from fitting.figures.figure import Figure, figure_json
 from fitting.figures.metrics import FORMAT as FIGURES
 from fitting.figures.starts import STARTS, Start, start_figures
-from fitting.figures.survey import overview_of
 from fitting.readers.recording import Recording
 from fitting.readers.sources import Source, each_source, open_source
+from fitting.transmission_error.survey import overview_of
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.intp]
@@ -278,7 +278,7 @@ class Fit:
     def linear(self, weights: Mapping[str, float]) -> tuple[float, float]:
         """Return a weighted sum of estimates and half the width of its 95 % interval."""
         vector = np.array([weights.get(name, 0.0) for name in self.names])
-        return float(self.values @ vector), max(one.half_width(vector) for one in self.scatters)
+        return float(self.values @ vector), max(scatter.half_width(vector) for scatter in self.scatters)
 
     @property
     def blocks(self) -> int:
@@ -288,7 +288,7 @@ class Fit:
     @property
     def degrees(self) -> float:
         """Least degrees of freedom."""
-        return min(one.degrees for one in self.scatters)
+        return min(scatter.degrees for scatter in self.scatters)
 
 
 def fit_columns(columns: Mapping[str, Array], stretches: Stretches) -> Fit:
@@ -415,24 +415,24 @@ class FrictionFit:
             temporary.write_text(text, encoding="utf-8")
 
 
-def friction_json(found: FrictionFit) -> dict[str, Any]:
+def friction_json(friction_fit: FrictionFit) -> dict[str, Any]:
     """Return the fit as the content of a `cycloid-friction-fit/1` file, SI."""
     return {
         "format": FORMAT,
-        **{name: figure_json(one) for name, one in found.figures.items()},
-        "speeds": list(found.speeds),
-        "loads": found.loads,
+        **{name: figure_json(figure) for name, figure in friction_fit.figures.items()},
+        "speeds": list(friction_fit.speeds),
+        "loads": friction_fit.loads,
         **(
-            {"coefficients": {n: figure_json(one) for n, one in found.coefficients.items()}}
-            if found.coefficients
+            {"coefficients": {n: figure_json(coefficient) for n, coefficient in friction_fit.coefficients.items()}}
+            if friction_fit.coefficients
             else {}
         ),
-        "data": found.data,
-        "notes": list(found.notes),
+        "data": friction_fit.data,
+        "notes": list(friction_fit.notes),
     }
 
 
-def friction_toml(found: FrictionFit) -> str:
+def friction_toml(friction_fit: FrictionFit) -> str:
     """Return the friction file `cycloid-friction/1` with this friction at the output.
 
     Its law is of the torque of the teeth, which without load is the friction itself. So the other values are those of
@@ -443,15 +443,15 @@ def friction_toml(found: FrictionFit) -> str:
     edge.InputError
         If Coulomb friction is missing, or a value is outside the file's limits.
     """
-    if "coulomb" not in found.figures:
+    if "coulomb" not in friction_fit.figures:
         raise edge.NoDataError("A friction file needs coulomb, the mean of both directions; record both.")
-    low, high = found.speeds
+    low, high = friction_fit.speeds
     lines = [f'format = "{FRICTION_FILE}"', "", f"[friction.output]  # measured from {low:.4g} to {high:.4g} rad/s"]
-    grown = found.figures.get("friction_per_load")
+    grown = friction_fit.figures.get("friction_per_load")
     for name, key in FILE_NAMES.items():
-        if name not in found.figures:
+        if name not in friction_fit.figures:
             continue
-        value, (unit, least, most, _) = found.figures[name].value, LIMITS[key]
+        value, (unit, least, most, _) = friction_fit.figures[name].value, LIMITS[key]
         if grown is not None and name in WITHOUT_LOAD:
             value *= max(1.0 - grown.value, 0.0)
         if not least <= value <= (math.inf if most is None else most):
@@ -852,7 +852,7 @@ def _range_of(speeds: Sequence[float | str] | None) -> tuple[float, float] | Non
     """Return the stated range of speeds, rad/s."""
     if speeds is None:
         return None
-    limits = [positive(one, "rad/s", "speeds", zero=True) for one in speeds]
+    limits = [positive(speed, "rad/s", "speeds", zero=True) for speed in speeds]
     if len(limits) != 2 or not limits[0] < limits[1]:
         raise edge.ArgumentError("speeds", 'give two speeds of the output, ascending: "0.1 rev/s", "1 rev/s"', speeds)
     return limits[0], limits[1]

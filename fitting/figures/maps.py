@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
 from fitting.arguments import check_ratio
-from fitting.figures.spectrum import (
+from fitting.readers.sources import RecordingFile, Source, each_source, open_source
+from fitting.transmission_error.curve import Curve, whole_turns
+from fitting.transmission_error.spectrum import (
     RIG_ORDERS,
     Spectrum,
     order_name,
@@ -25,9 +27,7 @@ from fitting.figures.spectrum import (
     spectrum,
     without_orders,
 )
-from fitting.figures.survey import survey
-from fitting.readers.sources import RecordingFile, Source, each_source, open_source
-from fitting.transmission_error.curve import Curve
+from fitting.transmission_error.survey import survey
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -110,10 +110,10 @@ def maps(
     given: list[Source] = each_source(recordings)
     points: list[_Point] = []
     notes: list[str] = []
-    for number, (found, said) in enumerate(_taken(given, ratio), start=1):
+    for number, (values, remarks) in enumerate(_taken(given, ratio), start=1):
         progress(f"recording {number} of {len(given)}")
-        points += found
-        notes += said
+        points += values
+        notes += remarks
     if not points:
         raise edge.NoDataError(" ".join(["no recording has a curve over a whole output turn.", *notes[:3]]))
     ratios: dict[float, str] = {}
@@ -145,7 +145,7 @@ def _points(source: Source, ratio: float | None) -> tuple[list[_Point], list[str
         if surveyed.loops is not None:
             notes.append(f"{surveyed.source}: loops are not used for maps.")
         table = str(source.path) if isinstance(source, RecordingFile) else surveyed.source
-        return [_point(one, table) for one in surveyed.curves], notes
+        return [_point(curve, table) for curve in surveyed.curves], notes
     except edge.InputError as problem:
         return [], [*notes, f"{problem} It is not in the maps."]
 
@@ -223,11 +223,11 @@ def _named_orders(points: Sequence[_Point], ratio: float, drive: Drive | None) -
 def _dataset(points: Sequence[_Point], ratio: float, drive: Drive | None, notes: list[str]) -> xr.Dataset:
     import xarray as xr
 
-    way = np.array([p.direction for p in points])
+    direction = np.array([p.direction for p in points])
     load = np.array([p.condition[0] for p in points])
-    turned = np.sign(load) * way
-    with_motion = bool((way > 0).any() and (way < 0).any() and (turned == turned[0]).all() and turned[0])
-    sign = np.sign(load) if with_motion else np.ones(way.size)
+    turned = np.sign(load) * direction
+    with_motion = bool((direction > 0).any() and (direction < 0).any() and (turned == turned[0]).all() and turned[0])
+    sign = np.sign(load) if with_motion else np.ones(direction.size)
     axes, at = _axes(points, sign)
     shape = (*(a.size for a in axes), 2)
     count = np.zeros(shape, np.int64)
@@ -241,6 +241,7 @@ def _dataset(points: Sequence[_Point], ratio: float, drive: Drive | None, notes:
     orders = _named_orders(points, ratio, drive)
     level = np.array([p.mean for p in points])
     common = all(p.common_zero for p in points)
+    level = level - whole_turns(level - level[0]) if common else level
     stiffness = np.full(shape, np.nan)
     if common and axes[0].size > 1:
         stiffness = _slope(axes[0], mean(level * sign))

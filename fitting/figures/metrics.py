@@ -13,6 +13,7 @@ from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.geometry.pair import Pair
 from fitting.arguments import check_ratio, positive
+from fitting.figures.angular_error import angular_transmission_error
 from fitting.figures.budget import Budget, budget_json, budgets_of
 from fitting.figures.figure import DEFINITIONS, Figure, figure_json, pooled
 from fitting.figures.friction_free import DEFINITIONS as OF_FRICTION_FREE
@@ -20,20 +21,13 @@ from fitting.figures.friction_free import FrictionFree, friction_free
 from fitting.figures.hysteresis import loop_figures
 from fitting.figures.instruments import Instruments, read_instruments
 from fitting.figures.loop_groups import LoopGroup, group_of, play_range
-from fitting.figures.orders import RunOrders, averaging_note, orders_json, orders_of_run
-from fitting.figures.spectrum import (
-    RIG_ORDERS,
-    Spectrum,
-    angular_transmission_error,
-    run_label,
-    spectrum,
-    without_orders,
-)
 from fitting.figures.starts import STARTS, Start, start_figures
-from fitting.figures.survey import Surveyed, at_positions, survey
 from fitting.readers.recording import Recording
 from fitting.readers.sources import Source, each_source, open_source
 from fitting.transmission_error.curve import Curve
+from fitting.transmission_error.orders import RunOrders, averaging_note, orders_json, orders_of_run
+from fitting.transmission_error.spectrum import RIG_ORDERS, Spectrum, run_label, spectrum, without_orders
+from fitting.transmission_error.survey import Surveyed, at_positions, survey
 
 FORMAT = "cycloid-figures/1"
 FRICTION_FREE = "friction_free."
@@ -221,9 +215,9 @@ def _ripple_results(surveyed: Sequence[Surveyed], rated_torque: float | None, pa
                 continue
             spectra.append(orders)
             notes += _windup_note(curve, rated_torque)
-            way, label = "forward" if curve.direction > 0 else "backward", run_label(recording.source, curve)
+            direction, label = "forward" if curve.direction > 0 else "backward", run_label(recording.source, curve)
             for name, kept in zip(names, (orders, without_orders(orders, RIG_ORDERS)), strict=True):
-                runs[name][way][label] = angular_transmission_error(curve, kept, recording.runaway)
+                runs[name][direction][label] = angular_transmission_error(curve, kept, recording.runaway)
             bases, limits = _stated_bases(recording.overview, curve.ratio), recording.overview.limits
             coarsest = max(limits.output_resolution, limits.input_resolution / abs(curve.ratio))
             of_runs.append(orders_of_run(curve, orders, label, pair, bases, coarsest))
@@ -245,7 +239,9 @@ def _windup_note(curve: Curve, rated_torque: float | None) -> list[str]:
 
 def _largest_of_runs(name: str, by_way: Mapping[str, Mapping[str, Figure]]) -> Figure:
     """Return the largest figure of all runs, with the largest of each direction as its parts."""
-    parts = {way: max(runs.values(), key=lambda figure: figure.value) for way, runs in by_way.items() if runs}
+    parts = {
+        direction: max(runs.values(), key=lambda figure: figure.value) for direction, runs in by_way.items() if runs
+    }
     runs = {label: figure for each in by_way.values() for label, figure in each.items()}
     largest = max(parts.values(), key=lambda figure: figure.value)
     return dataclasses.replace(largest, parts=parts, runs=runs, definition=DEFINITIONS[name])
@@ -289,8 +285,8 @@ def _with_remarks(figures: dict[str, Figure], without: Mapping[str, Figure]) -> 
         "stiffness: friction_free.torsional_stiffness is without it",
     }
     return {
-        name: dataclasses.replace(one, remark=remarks[name]) if name in remarks else one
-        for name, one in figures.items()
+        name: dataclasses.replace(figure, remark=remarks[name]) if name in remarks else figure
+        for name, figure in figures.items()
     }
 
 
@@ -377,13 +373,13 @@ def metrics(
             break
     if not surveyed:
         raise edge.InputError("\n".join(problems) or "recordings: there are none.")
-    found = figures_of(surveyed, ratio, rated, limits, None if drive is None else drive.pair)
-    notes = (*problems, *found.notes)
-    found = dataclasses.replace(found, notes=notes, problems=tuple(problems), interrupted=interrupted)
+    figures = figures_of(surveyed, ratio, rated, limits, None if drive is None else drive.pair)
+    notes = (*problems, *figures.notes)
+    figures = dataclasses.replace(figures, notes=notes, problems=tuple(problems), interrupted=interrupted)
     if instruments is None:
-        return found
-    budgets = budgets_of(found.figures, surveyed, found.spectra, instruments, ratio, progress)
-    return dataclasses.replace(found, budgets=budgets, instruments=instruments)
+        return figures
+    budgets = budgets_of(figures.figures, surveyed, figures.spectra, instruments, ratio, progress)
+    return dataclasses.replace(figures, budgets=budgets, instruments=instruments)
 
 
 def group_json(group: LoopGroup) -> dict[str, Any]:
@@ -395,28 +391,28 @@ def group_json(group: LoopGroup) -> dict[str, Any]:
         "largest_torque": group.largest_torque,
         "loops_found": group.loops_found,
         "loops_used": group.loops_used,
-        **{name: figure_json(one) for name, one in group.figures.items()},
+        **{name: figure_json(figure) for name, figure in group.figures.items()},
         "friction_free": None if free is None else {name: figure_json(one) for name, one in free.items()},
         "notes": list(group.notes),
     }
 
 
-def figures_json(found: Figures) -> dict[str, Any]:
+def figures_json(figures: Figures) -> dict[str, Any]:
     """Return all figures as the content of a `cycloid-figures/1` file: figures by name, and their sources."""
     return {
         "format": FORMAT,
         **{
-            name: figure_json(f) | ({"budget": budget_json(found.budgets[name])} if name in found.budgets else {})
-            for name, f in found.figures.items()
+            name: figure_json(f) | ({"budget": budget_json(figures.budgets[name])} if name in figures.budgets else {})
+            for name, f in figures.figures.items()
         },
-        "friction_free": {name: figure_json(one) for name, one in found.friction_free.items()},
-        "play_range": None if found.play_range is None else [figure_json(one) for one in found.play_range],
-        "loop_groups": [group_json(one) for one in found.loop_groups],
-        "orders": [orders_json(one) for one in found.orders],
-        "rated_torque": found.rated_torque,
-        "ratio": found.ratio,
-        "data": {s.source: s.checksum for s in found.surveyed},
-        "locked": {s.source: s.overview.locked or None for s in found.surveyed if s.loops is not None},
-        "implausible": {s.source: s.implausible for s in found.surveyed},
-        "notes": list(found.notes),
+        "friction_free": {name: figure_json(one) for name, one in figures.friction_free.items()},
+        "play_range": None if figures.play_range is None else [figure_json(one) for one in figures.play_range],
+        "loop_groups": [group_json(loop_group) for loop_group in figures.loop_groups],
+        "orders": [orders_json(order) for order in figures.orders],
+        "rated_torque": figures.rated_torque,
+        "ratio": figures.ratio,
+        "data": {s.source: s.checksum for s in figures.surveyed},
+        "locked": {s.source: s.overview.locked or None for s in figures.surveyed if s.loops is not None},
+        "implausible": {s.source: s.implausible for s in figures.surveyed},
+        "notes": list(figures.notes),
     }

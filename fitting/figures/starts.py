@@ -41,7 +41,7 @@ def starts_of(crank: Array, torque: Array, driven: Array) -> list[Start]:
     crank, torque, driven
         Crank angle, rad, torque, N·m, and angle of the torque's shaft, rad, all of shape (samples,).
     """
-    found = []
+    starts = []
     begin = 0
     while begin < crank.size:
         away = np.abs(crank[begin:] - crank[begin]) > _START
@@ -57,7 +57,7 @@ def starts_of(crank: Array, torque: Array, driven: Array) -> list[Start]:
             later = min(start + 10 * moved, crank.size - 1)
             onward, way = crank[later] - crank[begin], driven[later] - driven[begin]
             if at_rest < 0.1 * largest and abs(onward) > 5.0 * _START and torque[peak] * way > 0.0:
-                found.append(Start(still, peak, largest))
+                starts.append(Start(still, peak, largest))
         begin = start
         # The motion ends when the crank is at rest for more than a few samples.
         halves = crank[begin : crank.size - (crank.size - begin) % _HALF].reshape(-1, _HALF)
@@ -69,7 +69,7 @@ def starts_of(crank: Array, torque: Array, driven: Array) -> list[Start]:
             if np.ptp(ahead) <= _REST and ahead.size > 10:
                 break
             begin += max(1, ahead.size // 2)
-    return found
+    return starts
 
 
 def starting_torques(recording: Recording, ratio: float | None) -> tuple[list[Start], list[str]]:
@@ -123,7 +123,7 @@ STARTS = {"starting_torque": starting_torques, "back_driving_torque": back_drivi
 
 def start_figures(started: Mapping[str, Sequence[Start]]) -> dict[str, Figure]:
     """Return the figures of `STARTS` that have starts, by name."""
-    return {name: start_figure(name, [one.torque for one in starts]) for name, starts in started.items() if starts}
+    return {name: start_figure(name, [start.torque for start in starts]) for name, starts in started.items() if starts}
 
 
 def start_figure(name: str, torques: Sequence[float]) -> Figure:

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from cycloid_fmu.geometry.pair import Pair
 from fitting.model.observations import COMPLIANCE_SHARE, GIVES, Linear, Observations, State, form_columns
 from fitting.transmission_error.curve import Curve
+from fitting.transmission_error.spectrum import RIG_ORDERS
 
 Array = NDArray[np.float64]
 
 GIVE, RIPPLE, LAG, FORM, RUN_OUT_CAUSE = "support_give", "torque_ripple", "clock_lag", "flank_form", "run_out"
-RUN_OUT = (1, 2, 3)  # orders of a shaft from its encoder and couplings
 _FORM_STEP = 1e-6  # m: step of the differences with respect to a form
 _SLOW = 6  # degree of the drift of a zero over a recording
 _CRANK = 100.0  # rad of the crank per rad of the transmission error
@@ -80,13 +80,13 @@ def beside_the_gear(observed: Observations) -> dict[str, Array]:
     crank = np.concatenate([c.input_angle for c in observed.curves])
     run_out = [
         wave * ~observed.of_loops
-        for order in RUN_OUT
+        for order in RIG_ORDERS
         for angle in (crank / abs(observed.curves[0].ratio), crank)
         for wave in (np.cos(order * angle), np.sin(order * angle))
     ]
     drift = _of_curves(observed, [_drifts(way(c)) for c in observed.curves])
     every = zip(BESIDE_THE_GEAR, ([load, load * np.abs(load)], run_out, drift), strict=True)
-    return _with_effect({name: [_unit(one) for one in columns] for name, columns in every})
+    return _with_effect({name: [_unit(column) for column in columns] for name, columns in every})
 
 
 def _with_effect(found: Mapping[str, Sequence[Array]]) -> dict[str, Array]:
@@ -237,14 +237,14 @@ def _drifts(turned: Array) -> list[Array]:
 
 def _of_curves(observed: Observations, each: Sequence[Sequence[Array]]) -> list[Array]:
     """Columns of single curves, zero outside their curve; none for loops."""
-    found = []
+    of_curves = []
     ends = [0, *observed.ends.tolist(), observed.measured.size]
     for number in observed.running:
         for values in each[number]:
             column = np.zeros(observed.measured.size)
             column[ends[number] : ends[number + 1]] = values
-            found.append(column)
-    return found
+            of_curves.append(column)
+    return of_curves
 
 
 def _changing(speed: Array) -> Array:

@@ -150,14 +150,14 @@ def weakness(
             weak.append(f"{name} is not known from these data")
             continue
         share, *_ = np.linalg.lstsq(columns[:, keep], columns[:, i], rcond=None)
-        left = float(np.linalg.norm(columns[:, i] - columns[:, keep] @ share)) / length
+        residual = float(np.linalg.norm(columns[:, i] - columns[:, keep] @ share)) / length
         leading = [
             j
             for j in np.argsort(-np.round(np.abs(share), 2), kind="stable")
             if abs(share[j]) > 0.2 * np.abs(share).max()
         ][:4]
         alike = " ".join(f"{share[j]:+.2f} {chosen[j]}" for j in leading)
-        if left < 0.05:
+        if residual < 0.05:
             reasons[name] = f"its effect on the transmission errors is that of {alike}"
         else:
             reasons[name] = f"these data do not separate it from {alike}"

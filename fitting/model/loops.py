@@ -24,14 +24,14 @@ from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.pair import LOST_MOTION_LOAD, Pair
 from cycloid_fmu.supports.transmission import play_loads
 from cycloid_fmu.surfaces.structured import displacement_columns
-from fitting.figures.friction_free import friction_free
-from fitting.figures.survey import Surveyed, survey
 from fitting.model.first_stage import of_cranks
 from fitting.readers.recording import Recording, RecordingStream
 from fitting.readers.sources import Source, each_source, open_source
 from fitting.samples.plausible import PlausibleBlocks
-from fitting.transmission_error.curve import Curve
+from fitting.transmission_error.curve import Curve, whole_turns
 from fitting.transmission_error.folding import LOCKED, curves
+from fitting.transmission_error.mid_curve import evaluated
+from fitting.transmission_error.survey import Surveyed, survey
 
 Array = NDArray[np.float64]
 
@@ -39,7 +39,7 @@ BINS = 24  # steps of the torque on a branch
 _LEAST = 4  # samples in each step
 _REVERSAL = 1.25  # excluded range at zero and at the peak, over that in which friction reverses: twice the friction
 _REACH = 0.97  # largest torque of a branch over the peak
-_NO_TORQUE = 1e-2  # N·m: one flank touches at each end, with hardly any deflection
+NO_TORQUE = 1e-2  # N·m: one flank touches at each end, with hardly any deflection
 
 
 @dataclass(frozen=True)
@@ -102,9 +102,9 @@ def observed_curves(
     given: list[Source | Curve] = each_source(recordings)
     found = [one for one in given if isinstance(one, Curve)]
     sources = [one for one in given if not isinstance(one, Curve)]
-    locked = [is_locked(_checked_drive(open_source(one, ratio), drive), ratio) for one in sources]
+    locked = [is_locked(_checked_drive(open_source(source, ratio), drive), ratio) for source in sources]
     found += curves(
-        [one for one, still in zip(sources, locked, strict=True) if not still], ratio, keep_turns=keep_turns
+        [source for source, still in zip(sources, locked, strict=True) if not still], ratio, keep_turns=keep_turns
     )
     for one in itertools.compress(sources, locked):
         found += branches_of(survey(open_source(one, ratio), ratio, pair.rated_torque), ratio)
@@ -145,10 +145,10 @@ def branches_of(surveyed: Surveyed, ratio: float) -> list[Curve]:
         )
     crank = recording.input_angle
     error = recording.output_angle - crank / ratio
-    free = friction_free(loop)
-    friction, growth = (
-        (np.inf, 0.0) if free is None else (free.figures[n].value for n in ("friction_torque", "friction_per_load"))
-    )
+    evaluation = evaluated(loop)
+    friction, growth = np.inf, 0.0
+    if evaluation is not None:
+        friction, growth = (max(evaluation.values[n], 0.0) for n in ("friction_torque", "friction_per_load"))
     found = []
     for side in (1, -1):
         for loading in (True, False):
@@ -188,9 +188,9 @@ def _branch(
             "is within the friction. Load the drive further, or take play and stiffness from friction_free of "
             "cycloid-fit metrics."
         )
-    place = np.floor((size - low) / (high - low) * BINS).astype(int)
-    inside = (place >= 0) & (place < BINS)
-    count = np.bincount(place[inside], minlength=BINS)
+    index = np.floor((size - low) / (high - low) * BINS).astype(int)
+    inside = (index >= 0) & (index < BINS)
+    count = np.bincount(index[inside], minlength=BINS)
     if count.min() < _LEAST:
         raise edge.InputError(
             f"{surveyed.source}: the {name} branch of the loop has {np.count_nonzero(inside)} samples from {low:.4g} "
@@ -198,13 +198,13 @@ def _branch(
         )
 
     def mean(values: Array) -> Array:
-        return np.asarray(np.bincount(place[inside], values[inside], BINS) / count)
+        return np.asarray(np.bincount(index[inside], values[inside], BINS) / count)
 
     at, windup = mean(torque), mean(error)
     # Within a step the windup is linear, with the slope between the means of the steps.
-    left = error - windup[np.clip(place, 0, BINS - 1)]
-    left -= np.gradient(windup, at)[np.clip(place, 0, BINS - 1)] * (torque - at[np.clip(place, 0, BINS - 1)])
-    scatter = np.sqrt(np.bincount(place[inside], left[inside] ** 2, BINS) / (count - 1.0))
+    residual = error - windup[np.clip(index, 0, BINS - 1)]
+    residual -= np.gradient(windup, at)[np.clip(index, 0, BINS - 1)] * (torque - at[np.clip(index, 0, BINS - 1)])
+    scatter = np.sqrt(np.bincount(index[inside], residual[inside] ** 2, BINS) / (count - 1.0))
     motion = side if loading else -side
     recording = surveyed.overview
     return Curve(
@@ -235,17 +235,19 @@ def on_the_curves_zero(branches: Sequence[Curve], curves: Sequence[Curve]) -> li
     """
     absolute = [float(np.mean(c.transmission_error)) for c in curves if c.common_zero]
     found = []
-    for one in branches:
-        turn = 2.0 * np.pi / one.ratio
-        passed = 0.0
-        if one.common_zero and absolute:
-            passed = round((float(np.mean(one.transmission_error)) - float(np.mean(absolute))) / turn)
-        crank = one.input_angle + 2.0 * np.pi * passed
+    for branch in branches:
+        turn = 2.0 * np.pi / branch.ratio
+        passed, output = 0.0, 0.0
+        if branch.common_zero and absolute:
+            away = float(np.mean(branch.transmission_error) - np.mean(absolute))
+            output = float(whole_turns(away))
+            passed = round((away - output) / turn)
+        crank = branch.input_angle + 2.0 * np.pi * passed
         found.append(
             dataclasses.replace(
-                one,
-                input_angle=np.mod(crank, 2.0 * np.pi * abs(one.ratio)),
-                transmission_error=one.transmission_error - passed * turn,
+                branch,
+                input_angle=np.mod(crank, 2.0 * np.pi * abs(branch.ratio)),
+                transmission_error=branch.transmission_error - output - passed * turn,
             )
         )
     return found
@@ -270,7 +272,7 @@ def play_of(drive: DriveValue, crank_angle: float, names: Sequence[str]) -> tupl
         one, columns as in `contact.sensitivities`.
     """
     pair = drive.pair
-    ends = sorted(play_loads(pair)) if pair.supports is not None else [-_NO_TORQUE, _NO_TORQUE]
+    ends = sorted(play_loads(pair)) if pair.supports is not None else [-NO_TORQUE, NO_TORQUE]
     each = sensitivity(drive, ends, [crank_angle] * 2).by_displacement
     jacobian = each @ displacement_columns(pair, names)
     play = float(np.nan_to_num(solve(drive, ends[1], crank_angle).backlash[0]))

@@ -183,8 +183,10 @@ def friction_notes(pair: Pair, curves: Sequence[Curve]) -> list[str]:
     tables = {name: one for name in type(losses).model_fields if (one := getattr(losses, name)) is not None}
     numbers = [
         name
-        for name, one in tables.items()
-        if isinstance(one, Friction) and name not in losses.from_table and any(getattr(one, n) for n in one.linear_in)
+        for name, table in tables.items()
+        if isinstance(table, Friction)
+        and name not in losses.from_table
+        and any(getattr(table, n) for n in table.linear_in)
     ]
     notes = []
     if numbers:
@@ -204,7 +206,7 @@ def friction_notes(pair: Pair, curves: Sequence[Curve]) -> list[str]:
             "Each side of the teeth was loaded in one direction only, where friction acts like compliance: run a load "
             "in both directions."
         )
-    if any(getattr(one, "stribeck_speed", None) for one in tables.values()):
+    if any(getattr(table, "stribeck_speed", None) for table in tables.values()):
         without = dict.fromkeys(c.source for c in running if c.crank_speed is None)
         notes += [f"{source}: it has no times, so its friction is taken as that of slow motion." for source in without]
     return notes

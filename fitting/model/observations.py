@@ -262,7 +262,7 @@ class Observations:
 
     def with_misfit(self, misfit: Discrepancy) -> Observations:
         """The same with the contributions of causes of misfit."""
-        names = [f"{MISFIT}_{cause}_{i}" for cause, one in misfit.columns.items() for i in range(one.shape[1])]
+        names = [f"{MISFIT}_{cause}_{i}" for cause, column in misfit.columns.items() for i in range(column.shape[1])]
         bench = self.bench.copy()
         if misfit.ripple is not None:
             bench[:, self.bench_names.index(CHAIN)] *= 1.0 + misfit.ripple
@@ -394,9 +394,9 @@ def observations(
             continue
         names.append(f"output_angle_drift_{number}")
         # What creeps does so with time, over all turns, whose points lie between one another.
-        place = (curve.input_angle if curve.travel is None else curve.travel) / (2.0 * np.pi * ratio)
+        turns = (curve.input_angle if curve.travel is None else curve.travel) / (2.0 * np.pi * ratio)
         columns.append(
-            np.concatenate([np.zeros(sum(sizes[:number])), place - place.mean(), np.zeros(sum(sizes[number + 1 :]))])
+            np.concatenate([np.zeros(sum(sizes[:number])), turns - turns.mean(), np.zeros(sum(sizes[number + 1 :]))])
         )
         priors.append(DRIFT)
     turning = [i for group in absolute for i in group if not curves[i].branch]

@@ -220,7 +220,10 @@ class UnpackedFile(BenchFile):
 
     def _tell(self) -> None:
         """Take over the problems of the copy."""
-        self.problems = [*self._lost, *(one.replace(str(self._copy), self.source) for one in self._file.problems)]
+        self.problems = [
+            *self._lost,
+            *(problem.replace(str(self._copy), self.source) for problem in self._file.problems),
+        ]
 
     def pieces(self, names: Sequence[str]) -> Iterator[Piece]:
         """Yield pieces of these channels in the order of time."""

@@ -98,10 +98,10 @@ class _Reader:
         self._depth = 0
 
     def formula(self) -> Part:
-        found = self._sum()
+        part = self._sum()
         if self._left:
             raise ValueError(f'unexpected "{self._left[0][1]}"')
-        return found
+        return part
 
     def _sign(self, *wanted: str) -> str:
         """Consume and return one of these signs if it is next, else ""."""
@@ -114,16 +114,16 @@ class _Reader:
             raise ValueError(f'"{sign}" is missing')
 
     def _sum(self) -> Part:
-        found = self._product()
+        part = self._product()
         while sign := self._sign("+", "-"):
-            found = _joined(sign, found, self._product())
-        return found
+            part = _joined(sign, part, self._product())
+        return part
 
     def _product(self) -> Part:
-        found = self._signed()
+        part = self._signed()
         while sign := self._sign("*", "/"):
-            found = _joined(sign, found, self._signed())
-        return found
+            part = _joined(sign, part, self._signed())
+        return part
 
     def _signed(self) -> Part:
         self._depth += 1

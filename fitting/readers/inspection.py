@@ -57,7 +57,7 @@ def _rises(values: Array) -> bool:
 
 
 def _named(looks: Sequence[FirstSamples], role: str) -> list[FirstSamples]:
-    return [one for one in looks if re.search(_NAMES[role], one.channel.name, re.IGNORECASE)]
+    return [look for look in looks if re.search(_NAMES[role], look.channel.name, re.IGNORECASE)]
 
 
 @dataclass(frozen=True)
@@ -132,9 +132,9 @@ def inspect(path: str | os.PathLike[str], dbc: str | os.PathLike[str] | None = N
     looks = first_samples(file)
     if not looks:
         raise edge.InputError(" ".join([*file.problems, f"{path}: it has no numeric channel with samples."]))
-    runs = error_runs([one for one in looks if not is_commanded(one)])
+    runs = error_runs([look for look in looks if not is_commanded(look)])
     taken = [one for run in runs for one in (run.output_angle, run.transmission_error)]
-    roles = roles_of(file, [one for one in looks if one not in taken] if runs else looks)
+    roles = roles_of(file, [look for look in looks if look not in taken] if runs else looks)
     if runs:  # further angles belong to none of these runs
         roles = {role: one for role, one in roles.items() if not role.endswith("angle")}
     if file.timed or "time" in roles:  # the time determines the first sample
@@ -144,7 +144,7 @@ def inspect(path: str | os.PathLike[str], dbc: str | os.PathLike[str] | None = N
     return Inspection(file, tuple(looks), roles, None if dbc is None else Path(dbc), tuple(runs))
 
 
-def inspection_json(found: Inspection) -> dict[str, Any]:
+def inspection_json(inspection: Inspection) -> dict[str, Any]:
     """Return the content of a file as JSON data for scripts."""
     channels = {
         o.channel.name: {
@@ -153,23 +153,23 @@ def inspection_json(found: Inspection) -> dict[str, Any]:
             "min": o.extremes[0],
             "max": o.extremes[1],
         }
-        for o in found.looks
+        for o in inspection.looks
     }
-    roles = {role: one.channel.name for role, one in found.roles.items()}
+    roles = {role: one.channel.name for role, one in inspection.roles.items()}
     runs = {
         run.name: {
             "output_angle": run.output_angle.channel.name,
             "transmission_error": run.transmission_error.channel.name,
         }
-        for run in found.runs
+        for run in inspection.runs
     }
     return {
         "channels": channels,
-        "text": list(found.file.texts),
+        "text": list(inspection.file.texts),
         "proposed": roles,
-        "ratio": found.ratio,
+        "ratio": inspection.ratio,
         "runs": runs,
-        "problems": found.file.problems,
+        "problems": inspection.file.problems,
     }
 
 
@@ -178,7 +178,7 @@ def roles_of(file: BenchFile, looks: Sequence[FirstSamples]) -> dict[str, FirstS
 
     Commanded values are not proposed: a figure from them would be that of the controller's wishes.
     """
-    left = [one for one in looks if np.isfinite(one.values).any() and not is_commanded(one)]
+    left = [look for look in looks if np.isfinite(look.values).any() and not is_commanded(look)]
     roles: dict[str, FirstSamples] = {}
 
     def choose(role: str, candidates: Sequence[FirstSamples]) -> None:
@@ -279,7 +279,7 @@ def _mapping_text(
     looks: Sequence[FirstSamples],
     dbc: str | None,
 ) -> str:
-    named = {role: found for role, found in name_patterns(file.source).items() if role not in roles}
+    named = {role: name_pattern for role, name_pattern in name_patterns(file.source).items() if role not in roles}
     lines = [f'format = "{FORMAT}"']
     lines.append(_ratio_line(ratio, file.ratio is not None))
     if dbc is not None:

@@ -32,7 +32,7 @@ class MdfFile(BenchFile):
     """An ASAM MDF 4 file."""
 
     def __init__(self, source: str, dbc: object = None) -> None:
-        with edge.needs_extra("bench-files", lambda said: edge.InputError(f"{source}: {said}.")):
+        with edge.needs_extra("bench-files", lambda text: edge.InputError(f"{source}: {text}.")):
             from asammdf import MDF
         try:
             # Given a name, asammdf reads in C, which trusts the block sizes of damaged files; given an open file, not.
@@ -94,10 +94,10 @@ class MdfFile(BenchFile):
 
     def _group(self, index: int, names: Sequence[str], places: dict[str, tuple[str, int, int]]) -> Iterator[Piece]:
         group = self._mdf.groups[index]
-        said, held = group.channel_group.cycles_nr, _records_held(group, os.stat(self.source).st_size)
-        total, begin = min(said, held), 0
-        if held < said:
-            self.problems.append(f"{self.source}: it is truncated or damaged; it has {held} of {said} samples.")
+        stated, held = group.channel_group.cycles_nr, _records_held(group, os.stat(self.source).st_size)
+        total, begin = min(stated, held), 0
+        if held < stated:
+            self.problems.append(f"{self.source}: it is truncated or damaged; it has {held} of {stated} samples.")
         while begin < total:
             try:
                 signals = [self._mdf.get(*places[n], record_offset=begin, record_count=PIECE, raw=True) for n in names]
@@ -236,7 +236,7 @@ class TdmsFile(BenchFile):
     """A LabVIEW TDMS file."""
 
     def __init__(self, source: str, dbc: object = None) -> None:
-        with edge.needs_extra("bench-files", lambda said: edge.InputError(f"{source}: {said}.")):
+        with edge.needs_extra("bench-files", lambda text: edge.InputError(f"{source}: {text}.")):
             from nptdms import TdmsFile
         self._file = TdmsFile.open(source)
         self._found, refused = [], []

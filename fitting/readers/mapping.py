@@ -417,7 +417,7 @@ def scales_of(file: BenchFile, mapping: FileMapping) -> dict[str, tuple[str, flo
         If the file lacks a channel or its unit.
     """
     channels = {c.name: c for c in file.channels}
-    found: dict[str, tuple[str, float, float]] = {}
+    scales: dict[str, tuple[str, float, float]] = {}
     roles: dict[str, ChannelMapping | TimeMapping | None] = {n: getattr(mapping, n) for n in CHANNELS}
     if not file.timed and mapping.time is not None and mapping.time.column is not None:
         roles["time"] = mapping.time
@@ -446,8 +446,8 @@ def scales_of(file: BenchFile, mapping: FileMapping) -> dict[str, tuple[str, flo
             except ValueError as problem:
                 raise edge.InputError(f"{file.source}: the column {channel.column}: {problem}.") from None
         sign = constant * channel.direction if isinstance(channel, ChannelMapping) else 1.0
-        found[role] = (channel.column, sign * scale, sign * offset)
-    return found
+        scales[role] = (channel.column, sign * scale, sign * offset)
+    return scales
 
 
 _NUMBER = r"([+\-−]?(?:\d+(?:[.,]\d+)?|[.,]\d+))(?![\d])"
@@ -477,11 +477,11 @@ def constants_of(path: str | os.PathLike[str], mapping: FileMapping) -> dict[str
     {'torque': -500.0}
     """
     name = stem_of(path)
-    found = {}
+    constants = {}
     for role in CONSTANTS:
         channel = getattr(mapping, role)
         if channel is not None and channel.value is not None:
-            found[role] = channel.direction * _value(channel.value, role, f"[{role}] value")
+            constants[role] = channel.direction * _value(channel.value, role, f"[{role}] value")
         if channel is None or channel.file_name is None:
             continue
         before, after = channel.file_name.split("{}")
@@ -500,5 +500,5 @@ def constants_of(path: str | os.PathLike[str], mapping: FileMapping) -> dict[str
             scale, offset = _affine(unit_text(channel.unit or ""), SI[role])
         except ValueError as problem:
             raise edge.InputError(f"{path}: [{role}] in its name: {problem}.") from None
-        found[role] = channel.direction * (numbers.pop() * scale + offset)
-    return found
+        constants[role] = channel.direction * (numbers.pop() * scale + offset)
+    return constants

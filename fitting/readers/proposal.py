@@ -36,11 +36,11 @@ class ErrorRun:
     last_row_first: bool = False
 
 
-def stated_unit(one: FirstSamples) -> str:
+def stated_unit(first_samples: FirstSamples) -> str:
     """Return a channel's unit as stated by the file or by its name: `TE_arcsec`, `TE (arcsec) CW`."""
-    if one.channel.unit:
-        return unit_text(one.channel.unit)
-    name = one.channel.name.strip()
+    if first_samples.channel.unit:
+        return unit_text(first_samples.channel.unit)
+    name = first_samples.channel.name.strip()
     match = re.search(rf"[\[(]{_UNITS}[\])]", name) or re.search(rf"[\s_/,.-]{_UNITS}$", name, re.IGNORECASE)
     return unit_text(match[1]) if match else ""
 
@@ -64,7 +64,7 @@ def error_runs(looks: Sequence[FirstSamples]) -> list[ErrorRun]:
     Each error belongs to the angle of the same direction (forward or backward), otherwise to the only angle, otherwise,
     with as many angles as errors, to the angle of the same position.
     """
-    free = [one for one in looks if np.isfinite(one.values).sum() > 1]
+    free = [look for look in looks if np.isfinite(look.values).sum() > 1]
     errors = [one for one in free if _is_error(one, free)]
     angles = [
         one
@@ -80,12 +80,12 @@ def error_runs(looks: Sequence[FirstSamples]) -> list[ErrorRun]:
         return []
     runs: list[ErrorRun] = []
     for number, error in enumerate(errors, start=1):
-        way = _way(error.channel.name)
-        same = [a for a in angles if way and _way(a.channel.name) == way]
+        direction = _way(error.channel.name)
+        same = [a for a in angles if direction and _way(a.channel.name) == direction]
         same = same or (angles if len(angles) == 1 else [angles[number - 1]] if len(angles) == len(errors) else [])
         if not same:
             return []
-        runs.append(ErrorRun(way or f"run {number}", same[0], error))
+        runs.append(ErrorRun(direction or f"run {number}", same[0], error))
     if len({run.name for run in runs}) < len(runs):
         runs = [ErrorRun(f"run {n}", r.output_angle, r.transmission_error) for n, r in enumerate(runs, start=1)]
     ahead = {run.name: _grows(run.output_angle) for run in runs}
@@ -96,20 +96,22 @@ def error_runs(looks: Sequence[FirstSamples]) -> list[ErrorRun]:
     return runs
 
 
-def _is_error(one: FirstSamples, all_of_them: Sequence[FirstSamples]) -> bool:
-    unit = stated_unit(one)
+def _is_error(first_samples: FirstSamples, all_of_them: Sequence[FirstSamples]) -> bool:
+    unit = stated_unit(first_samples)
     if unit and not measures(unit, "rad") and _known(unit):
         return False
-    named = bool(re.search(_ERROR, one.channel.name, re.IGNORECASE))
-    larger = any(measures(stated_unit(o), "rad") and stated_unit(o) not in _SMALL for o in all_of_them if o is not one)
-    finite = one.values[np.isfinite(one.values)]
+    named = bool(re.search(_ERROR, first_samples.channel.name, re.IGNORECASE))
+    larger = any(
+        measures(stated_unit(o), "rad") and stated_unit(o) not in _SMALL for o in all_of_them if o is not first_samples
+    )
+    finite = first_samples.values[np.isfinite(first_samples.values)]
     reach = _MOST.get({"°": "deg"}.get(unit, unit), np.inf)
     return (named or (unit in _SMALL and larger)) and float(np.ptp(finite)) <= reach
 
 
-def _grows(one: FirstSamples) -> bool:
+def _grows(first_samples: FirstSamples) -> bool:
     """Whether an angle increases from row to row, except at rollovers."""
-    steps = np.diff(one.values[np.isfinite(one.values)])
+    steps = np.diff(first_samples.values[np.isfinite(first_samples.values)])
     return bool(np.median(np.sign(steps[steps != 0.0])) > 0.0) if steps.any() else True
 
 

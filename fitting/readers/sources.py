@@ -205,20 +205,20 @@ def read_recordings(
 def _mappings(mapping: Mappings | None) -> dict[str, FileMapping]:
     """Return the given mappings by name."""
     given = [] if mapping is None else [mapping] if isinstance(mapping, FileMapping | str | os.PathLike) else mapping
-    found: dict[str, FileMapping] = {}
+    file_mappings: dict[str, FileMapping] = {}
     for number, one in enumerate(given, start=1):
         if isinstance(one, FileMapping):
-            found[f"mapping {number}"] = one
+            file_mappings[f"mapping {number}"] = one
         else:
-            found[str(one)] = read_mapping(one)
-    return found
+            file_mappings[str(one)] = read_mapping(one)
+    return file_mappings
 
 
 def _runs(
     path: Path, mappings: Mapping[str, FileMapping]
 ) -> Iterator[tuple[str, FileMapping | Mapping[str, FileMapping] | None]]:
     """Yield the runs in a file, with a mapping for each; mappings without runs are chosen when the file is opened."""
-    if not any(one.runs for one in mappings.values()):
+    if not any(mapping.runs for mapping in mappings.values()):
         yield "", mappings or None
         return
     try:

@@ -12,6 +12,7 @@ from cycloid_fmu.drive import Drive
 from cycloid_fmu.geometry.pair import LOST_MOTION_LOAD
 from fitting.estimation.parameter import NORMAL
 from fitting.model.gaussian import factor_of
+from fitting.model.loops import NO_TORQUE
 from fitting.model.observations import State
 from fitting.model.posterior import Posterior
 from fitting.model.unknowns import Unknowns
@@ -20,8 +21,7 @@ from fitting.transmission_error.curve import Curve
 
 Array = NDArray[np.float64]
 
-_NO_TORQUE = 1e-2  # N·m: one flank touches on either side, with hardly any deflection
-_EACH = 12  # angles per crank turn at which the transmission error is evaluated
+EACH = 12  # angles per crank turn at which the transmission error is evaluated
 _DRAWS = 200
 
 
@@ -50,7 +50,7 @@ class Gradient:
 
     def __init__(self, posterior: Posterior) -> None:
         drive, pair, rated = posterior.drive, posterior.drive.pair, posterior.drive.pair.rated_torque
-        wanted = [LostMotion(0.0, 1.0, _NO_TORQUE)]
+        wanted = [LostMotion(0.0, 1.0, NO_TORQUE)]
         turn = _turn(drive) if rated is not None else []
         if rated is not None:
             wanted.append(LostMotion(0.0, 1.0, LOST_MOTION_LOAD * rated))
@@ -76,7 +76,7 @@ def _turn(drive: Drive) -> list[Curve]:
     """Return one output turn at the rated torque."""
     pair = drive.pair
     assert pair.rated_torque is not None
-    angle = np.arange(_EACH * pair.gear_teeth) * 2.0 * np.pi / _EACH
+    angle = np.arange(EACH * pair.gear_teeth) * 2.0 * np.pi / EACH
     return [
         Curve(
             input_angle=angle,
@@ -103,16 +103,16 @@ def figures_of(posterior: Posterior) -> dict[str, FigureOfDrive]:
     from the distribution. All are in rad.
     """
     gradient, covariance = Gradient(posterior), posterior.covariance
-    found = {}
+    figures = {}
     for name, value in gradient.values.items():
         slope = gradient.gradients[name]
         sigma = float(np.sqrt(max(slope @ covariance @ slope, 0.0)))
-        found[name] = FigureOfDrive(value, (max(value - NORMAL * sigma, 0.0), value + NORMAL * sigma), sigma)
+        figures[name] = FigureOfDrive(value, (max(value - NORMAL * sigma, 0.0), value + NORMAL * sigma), sigma)
     if gradient.error.size:
         normal = np.random.default_rng(0).standard_normal((_DRAWS, len(covariance)))
         drawn = gradient.error + normal @ (gradient.by_error @ factor_of(covariance)).T
         sizes = np.ptp(drawn, axis=1)
         # Deviations of single pins increase the peak of every drawn drive above that of the most likely drive.
         low, middle, high = (float(q) for q in np.quantile(sizes, (0.025, 0.5, 0.975)))
-        found["transmission_error"] = FigureOfDrive(middle, (low, high), float(sizes.std()))
-    return found
+        figures["transmission_error"] = FigureOfDrive(middle, (low, high), float(sizes.std()))
+    return figures

@@ -109,7 +109,7 @@ def read_recalibration(path: str | os.PathLike[str], drive: Drive) -> Recalibrat
             )
             for one in data["history"]
         )
-        found = Recalibration(
+        recalibration = Recalibration(
             drive=drive,
             alarm=str(data["alarm"]),
             history=history,
@@ -122,6 +122,6 @@ def read_recalibration(path: str | os.PathLike[str], drive: Drive) -> Recalibrat
             posterior=posterior_about(drive, own.errors, names, mean, covariance),
             notes=tuple(str(one) for one in data["notes"]),
         )
-        if not found.history:
+        if not recalibration.history:
             raise ValueError("no date")
-    return found
+    return recalibration

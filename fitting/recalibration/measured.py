@@ -115,8 +115,8 @@ def _is_dense(curve: Curve, each: int) -> bool:
 
 def _steps(curve: Curve, each: int) -> tuple[NDArray[np.int64], Array]:
     """Return the step of the crank angle of each point, numbered without empty steps, and the samples of each step."""
-    place = np.floor(curve.input_angle / (2.0 * np.pi) * each).astype(np.int64)
-    _, of = np.unique(place, return_inverse=True)
+    index = np.floor(curve.input_angle / (2.0 * np.pi) * each).astype(np.int64)
+    _, of = np.unique(index, return_inverse=True)
     return of.astype(np.int64), np.bincount(of, curve.sample_count).astype(float)
 
 
@@ -196,7 +196,7 @@ def observed_in_place(
         coarse = 0.0 if bits is None or curve.branch else quantised(curve, bits)
         shown.append(max(white / np.sqrt(np.median(curve.sample_count)), coarse, 1e-9))
     ratio = pair.ratio if not means else means[0].ratio
-    pseudo = [sides(one, pair.gear_teeth, i, ratio) for i, one in enumerate(lost_motions)]
+    pseudo = [sides(lost_motion, pair.gear_teeth, i, ratio) for i, lost_motion in enumerate(lost_motions)]
     if not means and not pseudo:
         raise edge.InputError("nothing was measured: give recordings or a lost motion.")
     level = float(np.median(shown)) if shown else 1e-6
@@ -205,7 +205,7 @@ def observed_in_place(
     friction = FRICTION_SHARE * (pair.rated_torque or max(abs(c.torque) for c in means or pseudo))
     means = [_with_friction(c, friction) for c in means]
     whole = observations([*means, *pseudo], pair, every, profile, earlier.drive.first_stage, earlier=earlier)
-    return _with_reference(whole, [one.standard_error for one in lost_motions], torque_share, friction)
+    return _with_reference(whole, [lost_motion.standard_error for lost_motion in lost_motions], torque_share, friction)
 
 
 def _with_friction(curve: Curve, friction: float) -> Curve:

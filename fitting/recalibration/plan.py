@@ -21,7 +21,7 @@ from fitting.model.gaussian import Evidence
 from fitting.model.posterior import Posterior
 from fitting.model.unknowns import Unknowns
 from fitting.recalibration.drift import DRIFT, drifted, fitted_drive
-from fitting.recalibration.figures import Gradient
+from fitting.recalibration.figures import EACH, Gradient
 from fitting.recalibration.measured import SIZES, TORQUE_SHARE, LostMotion, linear_near, observed_in_place, quantised
 from fitting.recalibration.recalibrate import Recalibration
 from fitting.recalibration.update import with_joint
@@ -30,7 +30,6 @@ Array = NDArray[np.float64]
 
 TURNS = (1, 2, 5, 10, 20, 50, 100)
 """Compared numbers of output turns, or of passings of an index mark in each direction."""
-_EACH = 12  # points per crank turn at which a planned run is evaluated
 _SAMPLES = 100  # samples per crank turn: 1 kHz at 600 rpm
 
 
@@ -120,7 +119,7 @@ def plan_visit(
         sets[f"{load:g} N·m both ways"] = [(load, 1), (load, -1)], []
     if len(loads) > 1:
         words = f"{', '.join(f'{t:g}' for t in loads[:-1])} and {loads[-1]:g} N·m both ways"
-        sets[words] = [(t, way) for t, way in itertools.product(loads, (1, -1))], []
+        sets[words] = [(t, direction) for t, direction in itertools.product(loads, (1, -1))], []
     if passing is not None:
         # The position of the mark has hardly any effect on the information about the mean.
         marks = [LostMotion(0.0, passing * np.sqrt(2.0), loads[-1], 0.0)]
@@ -147,8 +146,8 @@ def _half_widths(
 ) -> dict[int, float]:
     """Return half of the backlash's 95 % interval after each of `TURNS` of a set of runs, or passings of marks, rad."""
     ratio = known.drive.pair.ratio
-    thick = round(_SAMPLES / _EACH)
-    curves = [planned_curve(ratio, way * load, way, 1.0, _EACH) for load, way in runs]
+    thick = round(_SAMPLES / EACH)
+    curves = [planned_curve(ratio, direction * load, direction, 1.0, EACH) for load, direction in runs]
     curves = [dataclasses.replace(c, sample_count=np.full_like(c.sample_count, thick)) for c in curves]
     noise = [quantised(c, bits) * np.sqrt(thick) for c in curves]
     observed, names = observed_in_place(curves, marks, known, torque_share=share, noise=noise), known.names

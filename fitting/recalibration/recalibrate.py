@@ -197,7 +197,7 @@ def contradictions(found: Updated, lost_motions: Sequence[LostMotion]) -> tuple[
     teeth = round(abs(observed.curves[0].ratio))
     # Pins repeat with every crank turn; teeth repeat once more or once less per output turn.
     cogs = {abs(teeth + 1), teeth} if observed.curves[0].ratio < 0 else {teeth, abs(teeth - 1)}
-    orders = sorted({k * one for one in cogs for k in range(1, _HARMONICS + 1)})
+    orders = sorted({k * cog for cog in cogs for k in range(1, _HARMONICS + 1)})
     chances: dict[str, float] = {}
     if observed.running:
         power = np.zeros(len(orders))
@@ -208,8 +208,8 @@ def contradictions(found: Updated, lost_motions: Sequence[LostMotion]) -> tuple[
             chances[f"order {order} of the output"] = float(chance)
     count = len(lost_motions)
     ends = zip(found.residual[-count:], found.variance[-count:], strict=True) if count else ()
-    for one, (residual, variance) in zip(lost_motions, ends, strict=True):
-        chances[f"the lost motion of {one.value * ARCSEC:.1f}″ at {one.torque:.3g} N·m"] = float(
+    for lost_motion, (residual, variance) in zip(lost_motions, ends, strict=True):
+        chances[f"the lost motion of {lost_motion.value * ARCSEC:.1f}″ at {lost_motion.torque:.3g} N·m"] = float(
             special.chdtrc(1, residual**2 / max(variance, _LEAST_VARIANCE))
         )
     if not chances:
@@ -260,7 +260,7 @@ def _better_known(before: Posterior, after: Posterior) -> tuple[str, ...]:
 
 
 def _notes(curves: Sequence[Curve], found: Updated, lost_motions: Sequence[LostMotion]) -> tuple[str, ...]:
-    notes = [note for one in curves for note in one.notes]
+    notes = [note for curve in curves for note in curve.notes]
     if found.outliers:
         points = np.count_nonzero(~found.observed.of_lost_motions)
         notes.append(f"{found.outliers} of {points} points are far off and were left out.")

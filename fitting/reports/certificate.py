@@ -36,7 +36,7 @@ _PAGE = """<p id="verdict"><strong>Verdict: {{ verdict }}</strong></p>
 """
 
 
-def write_certificate(found: Figures, certificate: Certificate, path: str | os.PathLike[str]) -> None:
+def write_certificate(figures: Figures, certificate: Certificate, path: str | os.PathLike[str]) -> None:
     """Write the certificate of one drive as a self-contained HTML page; never a partial file.
 
     Raises
@@ -45,15 +45,15 @@ def write_certificate(found: Figures, certificate: Certificate, path: str | os.P
         If the instruments, which the decisions need, are not stated, or the name has another ending.
     """
     target = edge.output_path(path, "path", FORMATS)
-    if found.instruments is None:
+    if figures.instruments is None:
         raise edge.InputError(
             "certificate: it needs the instruments of the bench; state them in a file (--instruments)."
         )
-    decisions = decisions_of(found, certificate)
+    decisions = decisions_of(figures, certificate)
     device = certificate.device
     tables = [
         ("Device", [("Type", device.name), ("Serial number", device.serial_number), ("Maker", device.maker)]),
-        ("Conditions", [*_loads(found), *certificate.conditions.items()]),
+        ("Conditions", [*_loads(figures), *certificate.conditions.items()]),
     ]
     if certificate.number or certificate.issued_by:
         tables.insert(0, ("Certificate", [("Number", certificate.number), ("Issued by", certificate.issued_by)]))
@@ -64,7 +64,7 @@ def write_certificate(found: Figures, certificate: Certificate, path: str | os.P
             one.serial_number or "not stated",
             "not stated" if one.calibrated is None else one.calibrated.isoformat(),
         ]
-        for name, one in found.instruments.stated.items()
+        for name, one in figures.instruments.stated.items()
     ]
     page = html_page(
         "Certificate of measurement",
@@ -75,28 +75,28 @@ def write_certificate(found: Figures, certificate: Certificate, path: str | os.P
         verdict=verdict_of(decisions),
         tables=[(t, [(n, v) for n, v in rows if v]) for t, rows in tables],
         instruments=instruments,
-        results=_results(found, decisions),
+        results=_results(figures, decisions),
         rule=RULES[certificate.decision_rule],
-        budgets=budget_tables(found),
+        budgets=budget_tables(figures),
         budget_head=BUDGET_HEAD,
-        notes=found.notes,
-        sources=sources_of(found),
+        notes=figures.notes,
+        sources=sources_of(figures),
     )
     with edge.written_whole(target) as temporary:
         temporary.write_text(page, encoding="utf-8")
 
 
-def _loads(found: Figures) -> list[tuple[str, str]]:
+def _loads(figures: Figures) -> list[tuple[str, str]]:
     """Return the conditions of the recordings as rows (name, text)."""
-    warm = [t for one in found.surveyed if (t := one.overview.temperature) is not None]
+    warm = [t for one in figures.surveyed if (t := one.overview.temperature) is not None]
     rows = [
-        ("Ratio", "" if found.ratio is None else f"{found.ratio:g}"),
-        ("Rated torque", "" if found.rated_torque is None else f"{found.rated_torque:.5g} N·m"),
+        ("Ratio", "" if figures.ratio is None else f"{figures.ratio:g}"),
+        ("Rated torque", "" if figures.rated_torque is None else f"{figures.rated_torque:.5g} N·m"),
     ]
     if warm:
         low, high = min(np.nanmin(t) for t in warm) - 273.15, max(np.nanmax(t) for t in warm) - 273.15
         rows.append(("Temperature as recorded", f"{low:.1f} … {high:.1f} °C"))
-    rows.append(("Recordings", ", ".join(Path(one.source).name for one in found.surveyed)))
+    rows.append(("Recordings", ", ".join(Path(one.source).name for one in figures.surveyed)))
     return rows
 
 
@@ -109,26 +109,26 @@ def _shown(value: float, expanded: float) -> str:
     return f"{value:.{digits}f}"
 
 
-def _results(found: Figures, decisions: list[Decision]) -> list[list[str]]:
+def _results(figures: Figures, decisions: list[Decision]) -> list[list[str]]:
     """Return the table of figures with their expanded uncertainties; those with limits first."""
     rows = []
-    for one in decisions:
-        factor, unit = field_factor(one.unit)
-        expanded = one.expanded * factor
+    for decision in decisions:
+        factor, unit = field_factor(decision.unit)
+        expanded = decision.expanded * factor
         rows.append(
             [
-                title_of(one.figure),
-                _shown(one.value * factor, expanded),
+                title_of(decision.figure),
+                _shown(decision.value * factor, expanded),
                 "unknown" if math.isnan(expanded) else _shown(expanded, expanded),
-                "" if math.isnan(expanded) else f"{one.coverage_factor:.2f}",
+                "" if math.isnan(expanded) else f"{decision.coverage_factor:.2f}",
                 unit,
-                "" if math.isinf(one.low) else f"{one.low * factor:.6g}",
-                "" if math.isinf(one.high) else f"{one.high * factor:.6g}",
-                one.verdict,
+                "" if math.isinf(decision.low) else f"{decision.low * factor:.6g}",
+                "" if math.isinf(decision.high) else f"{decision.high * factor:.6g}",
+                decision.verdict,
             ]
         )
-    limited = {one.figure for one in decisions}
-    for name, budget in found.budgets.items():
+    limited = {decision.figure for decision in decisions}
+    for name, budget in figures.budgets.items():
         if name not in limited:
             factor, unit = field_factor(budget.unit)
             expanded = budget.expanded * factor
@@ -150,7 +150,7 @@ def _results(found: Figures, decisions: list[Decision]) -> list[list[str]]:
 def _limit_panels(decisions: list[Decision]) -> list[Panel]:
     """Return the panel of decided figures with ± U, in percent of the upper limit, or of the lower one without it."""
     traces = []
-    shown = [one for one in decisions if math.isfinite(one.value)]
+    shown = [decision for decision in decisions if math.isfinite(decision.value)]
     for row, one in enumerate(shown):
         whole = one.high if math.isfinite(one.high) and one.high != 0.0 else one.low
         scale = 100.0 / whole if whole else 100.0

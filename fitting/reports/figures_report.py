@@ -30,21 +30,21 @@ def title_of(name: str) -> str:
     return own.replace("_", " ").capitalize() + (" without friction" if own != name else "")
 
 
-def write_figures_report(found: Figures, path: str | os.PathLike[str]) -> None:
+def write_figures_report(figures: Figures, path: str | os.PathLike[str]) -> None:
     """Write the report of figures as HTML or PDF, by the ending of the name; never a partial file."""
     target = edge.output_path(path, "path", FORMATS)
-    panels = panels_of(found)
+    panels = panels_of(figures)
     with edge.written_whole(target) as temporary:
         if target.suffix.lower() == ".html":
-            temporary.write_text(html_report(found, panels), encoding="utf-8")
+            temporary.write_text(html_report(figures, panels), encoding="utf-8")
         else:
-            _write_pdf(found, panels, temporary)
+            _write_pdf(figures, panels, temporary)
 
 
-def figure_rows(found: Figures) -> list[dict[str, str]]:
+def figure_rows(figures: Figures) -> list[dict[str, str]]:
     """Return the table of figures: a row for each figure, and rows with `part` set for its parts and runs."""
     rows = []
-    for name, figure in found.shown.items():
+    for name, figure in figures.shown.items():
         definition = f"{figure.definition}. Here it {figure.remark}" if figure.remark else figure.definition
         rows.append(_row(title_of(name), figure, definition=definition))
         rows += [_row(part, one, part="yes") for part, one in figure.shown.items()]
@@ -72,10 +72,10 @@ def _row(name: str, figure: Figure, *, definition: str = "", part: str = "") -> 
     }
 
 
-def sources_of(found: Figures) -> list[dict[str, str]]:
+def sources_of(figures: Figures) -> list[dict[str, str]]:
     """Return the table of recordings: file, kind, samples, time, temperature and checksum."""
     rows = []
-    for one in found.surveyed:
+    for one in figures.surveyed:
         temperature = one.overview.temperature
         warm = "" if temperature is None else f"{np.nanmean(temperature) - 273.15:.1f} °C"
         kind = "loops" if one.loops is not None else "run"
@@ -92,12 +92,12 @@ def sources_of(found: Figures) -> list[dict[str, str]]:
     return rows
 
 
-def _facts(found: Figures) -> str:
+def _facts(figures: Figures) -> str:
     facts = []
-    if found.ratio is not None:
-        facts.append(f"ratio {found.ratio:g}")
-    if found.rated_torque is not None:
-        facts.append(f"rated torque {found.rated_torque:.5g} N·m")
+    if figures.ratio is not None:
+        facts.append(f"ratio {figures.ratio:g}")
+    if figures.rated_torque is not None:
+        facts.append(f"rated torque {figures.rated_torque:.5g} N·m")
     return ", ".join([*facts, made_now()])
 
 
@@ -109,9 +109,9 @@ BUDGETS = """{% for title, table in budgets %}{% if loop.first %}<h2>Uncertainty
 {% endfor %}"""
 
 
-def budget_tables(found: Figures) -> list[tuple[str, list[list[str]]]]:
+def budget_tables(figures: Figures) -> list[tuple[str, list[list[str]]]]:
     """Return the title and rows of each budget."""
-    return [(title_of(name), budget_rows(budget)) for name, budget in found.budgets.items()]
+    return [(title_of(name), budget_rows(budget)) for name, budget in figures.budgets.items()]
 
 
 _FIGURES = (
@@ -142,31 +142,31 @@ SOURCES = """<h2>Excluded data and notes</h2>
 """
 
 
-def html_report(found: Figures, panels: Sequence[Panel]) -> str:
+def html_report(figures: Figures, panels: Sequence[Panel]) -> str:
     """Return the report as one self-contained HTML page."""
     return html_page(
         "Test bench report",
-        _facts(found),
+        _facts(figures),
         _FIGURES,
         panels,
         SOURCES,
-        rows=figure_rows(found),
-        notes=found.notes,
-        sources=sources_of(found),
-        budgets=budget_tables(found),
+        rows=figure_rows(figures),
+        notes=figures.notes,
+        sources=sources_of(figures),
+        budgets=budget_tables(figures),
         budget_head=BUDGET_HEAD,
-        orders=order_rows(found.orders),
+        orders=order_rows(figures.orders),
         orders_head=ORDERS_HEAD,
     )
 
 
-def _write_pdf(found: Figures, panels: Sequence[Panel], path: Path) -> None:
+def _write_pdf(figures: Figures, panels: Sequence[Panel], path: Path) -> None:
     from matplotlib.backends.backend_pdf import PdfPages
 
-    from fitting.reports.plots import draw_panel
+    from fitting.reports.drawing import draw_panel
 
     with PdfPages(path, metadata={"Title": "Test bench report", "Creator": f"cycloid-fmu {__version__}"}) as pdf:
-        for page in text_pages(_text_lines(found)):
+        for page in text_pages(_text_lines(figures)):
             pdf.savefig(page)
         for begin in range(0, len(panels), 2):
             page = figure_of_names()(figsize=A4, layout="constrained")
@@ -181,17 +181,17 @@ def _write_pdf(found: Figures, panels: Sequence[Panel], path: Path) -> None:
             pdf.savefig(page)
 
 
-def _text_lines(found: Figures) -> list[tuple[str, dict[str, Any]]]:
+def _text_lines(figures: Figures) -> list[tuple[str, dict[str, Any]]]:
     """Return text lines with the table of figures, the budgets, the notes and the recordings."""
     lines: list[tuple[str, dict[str, Any]]] = [
         ("Test bench report", {"fontsize": 16, "weight": "bold"}),
-        (_facts(found), {"color": "#555555"}),
+        (_facts(figures), {"color": "#555555"}),
         ("", {}),
     ]
     mono, heading = MONOSPACED, HEADING
     lines.append(("Figures", heading))
     lines.append((f"{'figure':<42} {'value':>10} {'± (95 %)':>10} {'unit':<11} of", {**mono, "weight": "bold"}))
-    for row in figure_rows(found):
+    for row in figure_rows(figures):
         name = f"  {row['name']}" if row["part"] else row["name"]
         name = name if len(name) <= 42 else f"{name[:3]}…{name[-38:]}"
         text = f"{name:<42} {row['value']:>10} {row['uncertainty']:>10} {row['unit']:<11} {row['of']}"
@@ -199,20 +199,20 @@ def _text_lines(found: Figures) -> list[tuple[str, dict[str, Any]]]:
         if row["definition"]:
             text = f"{row['definition']}; {row['interval']}" if row["interval"] else row["definition"]
             lines += [(f"    {one}", {"color": "#555555", "fontsize": 7}) for one in textwrap.wrap(text, 120)]
-    for title, table in budget_tables(found):
+    for title, table in budget_tables(figures):
         lines += [("", {}), (f"Uncertainty budget: {title}", heading)]
         for cells in (BUDGET_HEAD, *table):
             source, kind, distribution, uncertainty, sensitivity, contribution, degrees = cells
             text = f"{source:<32} {kind:<4} {distribution:<12} {uncertainty:<20} {sensitivity:>11} {contribution:>20}"
             lines.append((f"{text} {degrees:>8.7}", {**mono, "fontsize": 6.5}))
-    if orders := order_rows(found.orders):
+    if orders := order_rows(figures.orders):
         lines += [("", {}), ("Largest orders of the transmission error, per output turn", heading)]
         lines += [("{:<30} {:>12} {:>12} {:<10} {}".format(*row), mono) for row in (ORDERS_HEAD, *orders)]
     lines += [("", {}), ("Excluded data and notes", heading)]
-    for note in found.notes or ("No data were excluded.",):
+    for note in figures.notes or ("No data were excluded.",):
         lines += [(one, {}) for one in textwrap.wrap(note, 112, subsequent_indent="    ")]
     lines += [("", {}), ("Recordings", heading)]
-    for s in sources_of(found):
+    for s in sources_of(figures):
         lines.append(
             (
                 ", ".join(filter(None, (s["name"], s["kind"], f"{s['samples']} samples", s["time"], s["temperature"]))),

@@ -20,13 +20,14 @@ from fitting.estimation.effects import Effect, words_of
 from fitting.estimation.parameter import NORMAL, Parameter
 from fitting.estimation.realised import GAUGE, ORDERS_STATED, Realised
 from fitting.estimation.result import Identification
-from fitting.figures.spectrum import spectrum
 from fitting.model.discrepancy import SENTENCES
 from fitting.model.loops import LoopFit
 from fitting.model.observations import CHAIN, MISFIT
+from fitting.reports.curve_panels import comparison_panels
 from fitting.reports.page import html_page
-from fitting.reports.panels import Panel, Trace, label_of, spectra_panel
+from fitting.reports.panels import Panel, Trace, spectra_panel
 from fitting.reports.ring import ring_panel
+from fitting.transmission_error.spectrum import spectrum
 
 FORMATS = (".html",)
 _CRANK_TURNS = 3.0  # range of the first panel
@@ -36,34 +37,24 @@ _FIELD_UNITS = {"m": (1e6, "µm"), "rad": (1e3, "mrad"), "1": (1.0, "of the stat
 
 def fit_panels(result: Identification) -> list[Panel]:
     """Return the panels of a fit: measured and fitted curves, residuals, their orders, and the errors' intervals."""
-    fitted, left, rest = [], [], []
-    for number, (curve, model) in enumerate(zip(result.curves, result.fitted_curves, strict=True)):
-        turns = curve.input_angle / (2.0 * np.pi)
-        shown = turns <= _CRANK_TURNS
-        error, residual = curve.transmission_error, curve.transmission_error - model
-        fitted.append(Trace("measured" if number == 0 else "", turns[shown], error[shown] / _ARC, "points", -1))
-        fitted.append(Trace(label_of(curve), turns[shown], model[shown] / _ARC, "thin", number))
-        left.append(Trace(label_of(curve), turns, residual / _ARC, "thin", number))
-        rest.append(dataclasses.replace(curve, transmission_error=residual))
+    both, residual = comparison_panels(result.curves, result.fitted_curves, "fitted", _CRANK_TURNS)
+    rest = [
+        dataclasses.replace(curve, transmission_error=curve.transmission_error - model)
+        for curve, model in zip(result.curves, result.fitted_curves, strict=True)
+    ]
     panels = [
-        Panel(
-            "Measured and fitted",
-            "crank turns",
-            "transmission error [arcsec]",
-            tuple(fitted),
-            "Points are measured; lines are the fit, including the bench's errors. First crank turns only.",
+        dataclasses.replace(
+            both,
+            caption="Points are measured; lines are the fit, including the bench's errors. First crank turns only.",
         ),
-        Panel(
-            "Residual",
-            "crank turns",
-            "measured minus fitted [arcsec]",
-            tuple(left),
-            f"{result.residual / _ARC:.3f}″ rms residual; the noise of a point is {result.noise / _ARC:.3f}″. "
+        dataclasses.replace(
+            residual,
+            caption=f"{result.residual / _ARC:.3f}″ rms residual; the noise of a point is {result.noise / _ARC:.3f}″. "
             "Click a curve's name to hide it; double-click it to hide all others.",
         ),
     ]
     orders = spectra_panel(rest, [spectrum(c) for c in rest], result.pair, "Orders of the residual")
-    loops = [panel for one in result.loops for panel in _loop_panels(one)]
+    loops = [panel for loop in result.loops for panel in _loop_panels(loop)]
     ring = ring_panel(result.realised)
     return [*panels, *([orders] if orders is not None else []), *loops, _intervals(result.parameters), ring]
 
@@ -165,40 +156,40 @@ _BELOW = """<h2>All fitted errors</h2>
 """
 
 
-def _row(one: Parameter) -> dict[str, str]:
-    factor, unit = _FIELD_UNITS[one.unit]
-    low, high = (v * factor for v in one.interval)
+def _row(parameter: Parameter) -> dict[str, str]:
+    factor, unit = _FIELD_UNITS[parameter.unit]
+    low, high = (v * factor for v in parameter.interval)
     interval = "withheld" if math.isnan(low) else f"{low:.3f} … {high:.3f}"
     return {
-        "name": one.name,
-        "value": f"{one.value * factor:.3f}",
+        "name": parameter.name,
+        "value": f"{parameter.value * factor:.3f}",
         "interval": interval,
         "unit": unit,
-        "share": f"{100.0 * one.data_share:.1f} %",
+        "share": f"{100.0 * parameter.data_share:.1f} %",
     }
 
 
-def _effect_row(one: Effect, tolerances: Tolerances | None) -> dict[str, str]:
-    factor, unit = _FIELD_UNITS[one.error.unit]
-    low, high = (v * factor for v in one.error.interval)
+def _effect_row(effect: Effect, tolerances: Tolerances | None) -> dict[str, str]:
+    factor, unit = _FIELD_UNITS[effect.error.unit]
+    low, high = (v * factor for v in effect.error.interval)
     digits = 3 if math.isnan(low) else min(max(1 - math.floor(math.log10(max(0.5 * (high - low), 1e-3))), 0), 3)
     at = ""
-    if one.phase is not None and one.order:
-        around = 360.0 / one.order
-        angle = math.degrees(one.phase.value) / one.order % around
-        half = (one.phase.interval[1] - one.phase.interval[0]) / 2.0
-        known = "" if math.isnan(half) else f" ± {math.degrees(half) / one.order:.1f}"
+    if effect.phase is not None and effect.order:
+        around = 360.0 / effect.order
+        angle = math.degrees(effect.phase.value) / effect.order % around
+        half = (effect.phase.interval[1] - effect.phase.interval[0]) / 2.0
+        known = "" if math.isnan(half) else f" ± {math.degrees(half) / effect.order:.1f}"
         at = f"{angle:.1f}{known}°" if math.isnan(half) or half < math.pi / 2.0 else "unknown"
     stated = f"{low:.{digits}f} … {high:.{digits}f}"
     if math.isnan(low):
-        stated = "" if math.isnan(one.error.standard_error) else "withheld"
+        stated = "" if math.isnan(effect.error.standard_error) else "withheld"
     return {
-        "name": words_of(one),
-        "effect": f"{one.peak_to_peak * ARCSEC:.2f}",
-        "value": f"{one.error.value * factor:.{digits}f} {unit}",
+        "name": words_of(effect),
+        "effect": f"{effect.peak_to_peak * ARCSEC:.2f}",
+        "value": f"{effect.error.value * factor:.{digits}f} {unit}",
         "interval": stated,
         "at": at,
-        "tolerance": "" if tolerances is None else _allowed(one.kind, tolerances),
+        "tolerance": "" if tolerances is None else _allowed(effect.kind, tolerances),
     }
 
 
@@ -216,16 +207,18 @@ def _allowed(name: str, tolerances: Tolerances) -> str:
     return own if of.share == 1.0 else f"{own} ({of.key.replace('_', ' ')} ± {stated.tolerance * factor:g} {unit})"
 
 
-def _with_interval(one: Parameter) -> str:
+def _with_interval(parameter: Parameter) -> str:
     """Return a displacement in µm, or a phase in degrees, with its half interval; in brackets if not measured."""
-    factor = 1e6 if one.unit == "m" else math.degrees(1.0)
+    factor = 1e6 if parameter.unit == "m" else math.degrees(1.0)
     told = (
         ""
-        if math.isnan(one.interval[0])
-        else f"\u00a0±\u00a0{NORMAL * one.standard_error * factor:.{3 if one.unit == 'm' else 1}f}"
+        if math.isnan(parameter.interval[0])
+        else f"\u00a0±\u00a0{NORMAL * parameter.standard_error * factor:.{3 if parameter.unit == 'm' else 1}f}"
     )
-    text = f"{one.value * factor:.{3 if one.unit == 'm' else 1}f}{told}{'' if one.unit == 'm' else '°'}"
-    return f"({text})" if one.held else text
+    text = (
+        f"{parameter.value * factor:.{3 if parameter.unit == 'm' else 1}f}{told}{'' if parameter.unit == 'm' else '°'}"
+    )
+    return f"({text})" if parameter.held else text
 
 
 def _ring_tables(ring: Realised) -> list[dict[str, Any]]:
@@ -233,8 +226,8 @@ def _ring_tables(ring: Realised) -> list[dict[str, Any]]:
     circles = [ring.elements[part] for part in ring.circles.values()]
     columns = [name.replace("_", " ") for name in ring.circles]
     elements = [
-        [i, *(_with_interval(one[i]) if i < len(one) else "" for one in circles)]
-        for i in range(max(len(one) for one in circles))
+        [i, *(_with_interval(circle[i]) if i < len(circle) else "" for circle in circles)]
+        for i in range(max(len(circle) for circle in circles))
     ]
     stated = {one.name: one for one in ring.orders}
     orders = []
@@ -290,11 +283,11 @@ def _trust(result: Identification) -> list[str]:
         trust.append("No curve was held out for prediction, which requires three curves.")
     scatter = ", ".join(f"{n} {v * 1e6:.2f} µm" for n, v in result.scatter.items())
     trust.append(f"Scatter of single pins and teeth beyond the errors of the table: {scatter} (standard deviations).")
-    for one in result.loops:
-        left = np.concatenate([one.measured[n] - one.fitted[n] for n in one.fitted])
+    for loop in result.loops:
+        left = np.concatenate([loop.measured[n] - loop.fitted[n] for n in loop.fitted])
         trust.append(
-            f"{Path(one.source).name}: the play at the crank angle {np.degrees(one.crank_angle):.1f}° is "
-            f"{one.play / _ARC:.2f} ± {1.96 * one.standard_error / _ARC:.2f}″ from the identified errors; "
+            f"{Path(loop.source).name}: the play at the crank angle {np.degrees(loop.crank_angle):.1f}° is "
+            f"{loop.play / _ARC:.2f} ± {1.96 * loop.standard_error / _ARC:.2f}″ from the identified errors; "
             f"{np.sqrt(np.mean(left**2)) / _ARC:.3f}″ rms residual of the loop's points."
         )
     if result.inflation > 1.0:
@@ -305,7 +298,7 @@ def _trust(result: Identification) -> list[str]:
 def write_fit_report(result: Identification, path: str | os.PathLike[str]) -> None:
     """Write the report of a fit as one self-contained HTML file; never a partial file."""
     target, pair = edge.output_path(path, "path", FORMATS), result.pair
-    shown = [one for one in result.effects if one.peak_to_peak > _SHOWN * result.effects[0].peak_to_peak]
+    shown = [effect for effect in result.effects if effect.peak_to_peak > _SHOWN * result.effects[0].peak_to_peak]
     left = len(result.effects) - len(shown)
     rest = f"{left} more errors have an effect below {100.0 * _SHOWN:g} % of the largest. " if left else ""
     text = html_page(
@@ -341,9 +334,9 @@ def _bench_rows(result: Identification) -> list[tuple[str, str]]:
         for one in result.run_out
     ]
     rows += [
-        (f"{SENTENCES.get(one.cause, one.cause)}, rms", f"{one.size * ARCSEC:.3g}″")
-        for one in result.verdict.misfits
-        if not one.run_out
+        (f"{SENTENCES.get(misfit.cause, misfit.cause)}, rms", f"{misfit.size * ARCSEC:.3g}″")
+        for misfit in result.verdict.misfits
+        if not misfit.run_out
     ]
     groups: dict[str, list[float]] = {}
     for name, value in result.bench.items():

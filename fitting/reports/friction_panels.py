@@ -9,7 +9,7 @@ from fitting.figures.friction import FrictionFit
 from fitting.reports.panels import Panel, Trace
 
 
-def friction_panels(found: FrictionFit) -> list[Panel]:
+def friction_panels(friction_fit: FrictionFit) -> list[Panel]:
     """Return the panels of torque and residual over the speed of the output.
 
     Raises
@@ -17,19 +17,19 @@ def friction_panels(found: FrictionFit) -> list[Panel]:
     edge.InputError
         If no friction over speed was fitted.
     """
-    made, load = found.stretches, found.loads
+    made, load = friction_fit.stretches, friction_fit.loads
     if not made.speed.size:
         raise edge.InputError("There is no plot of starting torques alone; metrics --plot has one.")
-    used = np.isfinite(found.fitted)
-    speed, torque = made.speed[used], (made.torque - sum(found.removed.values()))[used]
-    block, recording, fitted = made.block[used], made.recording[used], found.fitted[used]
+    used = np.isfinite(friction_fit.fitted)
+    speed, torque = made.speed[used], (made.torque - sum(friction_fit.removed.values()))[used]
+    block, recording, fitted = made.block[used], made.recording[used], friction_fit.fitted[used]
     count = np.bincount(block)
     at = count > 0
     middle, mean, rest = (np.bincount(block, v)[at] / count[at] for v in (speed, torque, torque - fitted))
     traces = [Trace("means over stretches of time", speed, torque, "points", -1)]
     residuals = [Trace("", speed, torque - fitted, "points", -1)]
     for number, k in enumerate(np.unique(recording)):
-        name = list(found.data)[k]
+        name = list(friction_fit.data)[k]
         label = f"fit, {load[name]:.3g} N·m" if load else "fit"
         for sign in (-1.0, 1.0):
             of = np.flatnonzero((recording == k) & (np.sign(speed) == sign))
@@ -41,7 +41,7 @@ def friction_panels(found: FrictionFit) -> list[Panel]:
     traces.append(Trace("blocks", middle, mean, "dots", 0))
     residuals.append(Trace("blocks", middle, rest, "dots", 0))
     residuals.append(Trace("", np.array([speed.min(), speed.max()]), np.zeros(2), "dashed", -1))
-    low, high = found.speeds
+    low, high = friction_fit.speeds
     seen = (
         f"Fitted from {low:.4g} to {high:.4g} rad/s, the torque that drives, without inertia and drift. The scatter "
         "of the blocks gives the uncertainty."

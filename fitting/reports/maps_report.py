@@ -51,14 +51,14 @@ def map_panels(found: xr.Dataset) -> list[Panel]:
     ]
     panels = []
     for name, title, unit, factor, ways in shown:
-        for way, said in ways:
-            values = found[name].sel(direction=way) if way else found[name]
-            panels += _panel(f"{title}{', ' if said else ''}{said}", unit, found, values * factor)
+        for direction, text in ways:
+            values = found[name].sel(direction=direction) if direction else found[name]
+            panels += _panel(f"{title}{', ' if text else ''}{text}", unit, found, values * factor)
     for order, kind in zip(found.order.values, found.order_name.values, strict=True):
-        for way, said in two:
-            values = found.order_amplitude.sel(order=order, direction=way) * ARCSEC
+        for direction, text in two:
+            values = found.order_amplitude.sel(order=order, direction=direction) * ARCSEC
             of = f" ({kind})" if kind else ""
-            panels += _panel(f"Order {order}{of}, amplitude, {said}", "arcsec", found, values)
+            panels += _panel(f"Order {order}{of}, amplitude, {text}", "arcsec", found, values)
     return panels
 
 
@@ -74,16 +74,16 @@ def _bars(found: xr.Dataset) -> Panel:
         for order, kind in zip(found.order.values, found.order_name.values, strict=True)
     ]
     bars = [
-        (name, way, (each.sel(direction=way) if way else each).values.item() * ARCSEC)
+        (name, direction, (each.sel(direction=direction) if direction else each).values.item() * ARCSEC)
         for name, each in values
-        for way in (("forward", "backward") if "direction" in each.dims else ("",))
+        for direction in (("forward", "backward") if "direction" in each.dims else ("",))
     ]
-    bars = [one for one in bars if np.isfinite(one[2])]
+    bars = [bar for bar in bars if np.isfinite(bar[2])]
     traces: list[Trace] = []
-    for row, (_, way, value) in enumerate(bars):
-        label = way if all(trace.label != way for trace in traces) else ""
+    for row, (_, direction, value) in enumerate(bars):
+        label = direction if all(trace.label != direction for trace in traces) else ""
         at = np.full(2, -float(row))
-        traces.append(Trace(label, np.array([0.0, value]), at, "thick", ("forward", "backward", "").index(way)))
+        traces.append(Trace(label, np.array([0.0, value]), at, "thick", ("forward", "backward", "").index(direction)))
     lengths = np.array([value for *_, value in bars])
     beside = np.full(lengths.size, lengths.max() + 0.08 * np.ptp([0.0, *lengths]))
     texts = tuple(f"{value:.3g}" for value in lengths)

@@ -147,8 +147,11 @@ def _scatter(trace: Trace, *, named: bool) -> dict[str, Any]:
         data |= {"mode": "markers", "marker": marker}
         if trace.texts and named:
             data |= {"mode": "markers+text", "textposition": "top center", **words}
-    elif trace.style == "dots":
-        data |= {"mode": "markers", "marker": {"color": _colour(trace), "size": 4}}
+    elif trace.style in ("dots", "circles"):
+        symbol = "circle-open" if trace.style == "circles" else "circle"
+        data |= {"mode": "markers", "marker": {"color": _colour(trace), "size": 4, "symbol": symbol}}
+    elif trace.style == "band":
+        data |= {"fill": "toself", "fillcolor": _colour(trace), "opacity": 0.3, "line": {"width": 0}}
     elif trace.style == "words":
         data |= {"mode": "text", "hoverinfo": "skip", **words}
     else:
@@ -174,8 +177,13 @@ def _layout(panel: Panel) -> dict[str, Any]:
     if panel.y_names:
         rows = [-row for row in range(len(panel.y_names))]
         layout["yaxis"] |= {"tickvals": rows, "ticktext": list(panel.y_names), "tickfont": {"size": 10}}
+    for name, limits, logarithmic in (("x", panel.x_limits, panel.log_x), ("y", panel.y_limits, panel.log_y)):
+        if limits is not None:
+            layout[f"{name}axis"]["range"] = np.log10(limits).tolist() if logarithmic else limits
     if panel.log_x:
-        _name_above(panel, layout)
+        layout["xaxis"] |= {"type": "log", "range": np.log10(x_range(panel)).tolist()}
+        if any(trace.texts for trace in panel.traces):
+            _name_above(panel, layout)
     if panel.round:
         layout["margin"] |= {"l": 10, "r": 10, "b": 10}
         layout["xaxis"] = {"visible": False}
@@ -184,13 +192,12 @@ def _layout(panel: Panel) -> dict[str, Any]:
 
 
 def _name_above(panel: Panel, layout: dict[str, Any]) -> None:
-    """Set the axes, and put the names of points upright in a row above, each with a line to its point."""
+    """Make room for the names of points, and put them upright in a row above, each with a line to its point."""
     low, high = (math.log10(end) for end in x_range(panel))
     lowest, highest = (
         math.log10(end(float(end(t.y[t.y > 0.0])) for t in panel.traces if (t.y > 0.0).any())) for end in (min, max)
     )
     top = highest + 0.5 * (highest - lowest)
-    layout["xaxis"] |= {"type": "log", "range": [low, high]}
     layout["yaxis"] |= {"range": [lowest, top]}
     layout["annotations"] = [
         {

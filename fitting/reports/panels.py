@@ -15,13 +15,15 @@ from numpy.typing import NDArray
 
 from cycloid_fmu.edge import ARCMIN, ARCSEC
 from cycloid_fmu.geometry.pair import Pair
-from fitting.figures.friction_free import LINE, FrictionFree
-from fitting.figures.hysteresis import SIDES, LoopData, drift_of, loop_marks, without_drift
+from fitting.figures.friction_free import FrictionFree
+from fitting.figures.hysteresis import drift_of, loop_marks, without_drift
 from fitting.figures.metrics import Figures
-from fitting.figures.orders import RunOrders
-from fitting.figures.spectrum import Spectrum, order_name
 from fitting.figures.starts import STARTS
 from fitting.transmission_error.curve import Curve
+from fitting.transmission_error.loops import SIDES, LoopData
+from fitting.transmission_error.mid_curve import LINE
+from fitting.transmission_error.orders import RunOrders
+from fitting.transmission_error.spectrum import Spectrum, order_name
 
 Array = NDArray[np.float64]
 
@@ -43,7 +45,8 @@ class Trace:
     x, y
         Coordinates; NaN interrupts a line.
     style
-        "line", "thin", "dashed", "thick", "points" in grey, "dots" in the colour, or "words" for only the texts.
+        "line", "thin", "dashed", "thick", "points" in grey, "dots" and "circles" (open) in the colour, "words" for only
+        the texts, or "band": the area within the outline x, y.
     colour
         Number of the colour; -1 is grey.
     texts
@@ -53,7 +56,7 @@ class Trace:
     label: str
     x: Array
     y: Array
-    style: Literal["line", "thin", "dashed", "thick", "points", "dots", "words"] = "line"
+    style: Literal["line", "thin", "dashed", "thick", "points", "dots", "circles", "words", "band"] = "line"
     colour: int = 0
     texts: tuple[str, ...] = ()
 
@@ -88,6 +91,27 @@ class Panel:
     heat: tuple[HeatMap, ...] = ()
     log_x: bool = False
     from_zero: bool = False
+    x_limits: tuple[float, float] | None = None
+    y_limits: tuple[float, float] | None = None
+
+
+def stems(x: Array, low: Array, high: Array) -> tuple[Array, Array]:
+    """Return the points of upright lines from `low` to `high` at each x, with NaN between them."""
+    return np.repeat(x, 3), np.stack([low, high, np.full(x.size, np.nan)], axis=1).ravel()
+
+
+def band(label: str, x: Array, low: Array, high: Array, colour: int = 0) -> Trace:
+    """Return the area between two curves over x."""
+    return Trace(label, np.concatenate([x, x[::-1]]), np.concatenate([low, high[::-1]]), "band", colour)
+
+
+def apart(panel: Panel) -> list[Panel]:
+    """Return one panel for each trace, with its label as title and the same y axis."""
+    most = 1.1 * max(float(np.nanmax(np.abs(trace.y))) for trace in panel.traces)
+    return [
+        dataclasses.replace(panel, title=t.label, traces=(dataclasses.replace(t, label=""),), y_limits=(-most, most))
+        for t in panel.traces
+    ]
 
 
 def names_above(panel: Panel) -> list[tuple[float, float, float, str]]:
@@ -97,7 +121,7 @@ def names_above(panel: Panel) -> list[tuple[float, float, float, str]]:
     """
     from scipy.optimize import isotonic_regression
 
-    named = sorted((x, y, t) for one in panel.traces for x, y, t in zip(one.x, one.y, one.texts, strict=False))
+    named = sorted((x, y, t) for trace in panel.traces for x, y, t in zip(trace.x, trace.y, trace.texts, strict=False))
     if not named:
         return []
     low, high = (math.log10(end) for end in x_range(panel))
@@ -121,25 +145,25 @@ def label_of(curve: Curve) -> str:
     return f"{load}, {'forward' if curve.direction > 0 else 'backward'}"
 
 
-def panels_of(found: Figures) -> list[Panel]:
+def panels_of(figures: Figures) -> list[Panel]:
     """Return the panels of a report: curves, orders, loops, stiffness, starts, budgets, and torque over time.
 
     Parameters
     ----------
-    found
+    figures
         The figures and their data.
     """
     panels = []
-    if found.curves:
-        panels.append(_curves_panel(found.curves))
-        spectra = spectra_panel(found.curves, found.spectra, found.pair, orders=found.orders)
+    if figures.curves:
+        panels.append(_curves_panel(figures.curves))
+        spectra = spectra_panel(figures.curves, figures.spectra, figures.pair, orders=figures.orders)
         if spectra is not None:
             panels.append(spectra)
-    panels += [p for s in found.surveyed if s.loops is not None for p in _loop_panels(s.loops)]
-    panels += [p for source, free in found.mid_curves for p in _mid_curve_panels(source, free)]
-    panels += _stiffness_panel(found)
-    panels += _start_panels(found) + _budget_panel(found)
-    panels += _torque_panels(found)
+    panels += [p for s in figures.surveyed if s.loops is not None for p in _loop_panels(s.loops)]
+    panels += [p for source, free in figures.mid_curves for p in _mid_curve_panels(source, free)]
+    panels += _stiffness_panel(figures)
+    panels += _start_panels(figures) + _budget_panel(figures)
+    panels += _torque_panels(figures)
     return [_lightened(panel) for panel in panels]
 
 
@@ -199,10 +223,9 @@ def spectra_panel(
         order = np.arange(1, upto, dtype=float)
         amplitude, floor = of_curve.amplitude[1:upto] * ARCSEC, of_curve.floor[1:upto] * ARCSEC
         seen = of_curve.significant[1:upto]
-        at, top, count = order[seen], amplitude[seen], np.count_nonzero(seen)
-        stems = np.stack([floor[seen], top, np.full(count, np.nan)], axis=1).ravel()
+        at, top = order[seen], amplitude[seen]
         traces.append(Trace("", order[~seen], amplitude[~seen], "points", -1))
-        traces.append(Trace("", np.repeat(at, 3), stems, "line", number))
+        traces.append(Trace("", *stems(at, floor[seen], top), "line", number))
         traces.append(Trace(label_of(curve), at, top, "dots", number))
         traces.append(Trace("noise floor" if number == 0 else "", order, floor, "dashed", -1))
     largest = np.zeros(highest + 1)
@@ -238,9 +261,8 @@ def _broken_orders(runs: Sequence[RunOrders]) -> list[Trace]:
             np.array([getattr(one, name) for one in broken]) for name in ("order", "amplitude", "uncertainty")
         )
         low, high = np.maximum(size - interval, 0.05 * size) * ARCSEC, (size + interval) * ARCSEC
-        bars = np.stack([low, high, np.full(order.size, np.nan)], axis=1).ravel()
         names = tuple(f"{one.order:.4g} {one.source}".strip() for one in broken) if number == 0 else ()
-        traces.append(Trace("", np.repeat(order, 3), bars, "thin", number))
+        traces.append(Trace("", *stems(order, low, high), "thin", number))
         traces.append(Trace("no whole order" if number == 0 else "", order, size * ARCSEC, "points", -1, names))
     return traces
 
@@ -326,14 +348,14 @@ def _mid_curve_panels(source: str, free: FrictionFree) -> list[Panel]:
     ]
 
 
-def _stiffness_panel(found: Figures) -> list[Panel]:
+def _stiffness_panel(figures: Figures) -> list[Panel]:
     """Return the panel of torsional stiffness by side and torque range, with its 95 % interval."""
-    figure = found.figures.get("torsional_stiffness")
+    figure = figures.figures.get("torsional_stiffness")
     if figure is None or len(figure.segments) < 2:
         return []
     traces = []
     for number, (side, sign) in enumerate(SIDES):
-        of_side = [one.parts[side] for one in figure.segments.values() if side in one.parts]
+        of_side = [segment.parts[side] for segment in figure.segments.values() if side in segment.parts]
         label = side
         for one in of_side:
             assert one.interval is not None
@@ -345,10 +367,10 @@ def _stiffness_panel(found: Figures) -> list[Panel]:
             ]
             label = ""
     middles = [
-        (sign * 0.5 * sum(one.interval or ()), one.parts[side].value / ARCMIN, name)
-        for name, one in figure.segments.items()
+        (sign * 0.5 * sum(segment.interval or ()), segment.parts[side].value / ARCMIN, name)
+        for name, segment in figure.segments.items()
         for side, sign in SIDES
-        if side in one.parts
+        if side in segment.parts
     ]
     x, y, names = zip(*middles, strict=True)
     traces.append(Trace("", np.array(x), np.array(y), "points", -1, names))
@@ -357,7 +379,7 @@ def _stiffness_panel(found: Figures) -> list[Panel]:
     return [Panel("Torsional stiffness by torque", *axes, tuple(traces), caption, from_zero=True)]
 
 
-def _start_panels(found: Figures) -> list[Panel]:
+def _start_panels(figures: Figures) -> list[Panel]:
     """Return panels of the torque of each start, from standstill until the crank has turned 1°.
 
     It is over the time, or over the samples of recordings without times.
@@ -366,9 +388,9 @@ def _start_panels(found: Figures) -> list[Panel]:
     for (name, starts_of), timed in itertools.product(STARTS.items(), (True, False)):
         shaft = "input" if name == "starting_torque" else "output"
         traces: list[Trace] = []
-        for one in (s.overview for s in found.surveyed if s.loops is None and s.overview.timed == timed):
+        for one in (s.overview for s in figures.surveyed if s.loops is None and s.overview.timed == timed):
             torque = one.input_torque if shaft == "input" else one.torque
-            for start in starts_of(one, found.ratio or one.ratio)[0]:
+            for start in starts_of(one, figures.ratio or one.ratio)[0]:
                 assert torque is not None
                 time = one.time[start.part] - one.time[start.part.start]
                 number = len(traces) // 2
@@ -386,20 +408,20 @@ def _start_panels(found: Figures) -> list[Panel]:
     return panels
 
 
-def _budget_panel(found: Figures) -> list[Panel]:
+def _budget_panel(figures: Figures) -> list[Panel]:
     """Return the panel of each input quantity's share in the variance of each figure that has a budget."""
     rows: list[str] = []
     traces: list[Trace] = []
-    for number, (name, budget) in enumerate(found.budgets.items()):
+    for number, (name, budget) in enumerate(figures.budgets.items()):
         whole, first = budget.standard_uncertainty**2, True
-        for one in sorted(budget.contributions, key=lambda c: -c.contribution):
-            share = 100.0 * one.contribution**2 / whole if whole else 0.0
+        for contribution in sorted(budget.contributions, key=lambda c: -c.contribution):
+            share = 100.0 * contribution.contribution**2 / whole if whole else 0.0
             if share < 1.0:
                 continue
             at = np.full(2, -float(len(rows)))
             label = name.replace("_", " ") if first else ""
             traces.append(Trace(label, np.array([0.0, share]), at, "thick", number))
-            rows.append(f"{one.source} ({one.kind})")
+            rows.append(f"{contribution.source} ({contribution.kind})")
             first = False
     if not rows:
         return []
@@ -407,12 +429,12 @@ def _budget_panel(found: Figures) -> list[Panel]:
     return [Panel("Uncertainty budgets", "share of the variance [%]", "", tuple(traces), caption, y_names=tuple(rows))]
 
 
-def _torque_panels(found: Figures) -> list[Panel]:
+def _torque_panels(figures: Figures) -> list[Panel]:
     """Return the panels of the torque over time, and over the samples of recordings without times."""
     panels = []
     for timed, title, axis in ((True, "Torque over time", "time [s]"), (False, "Torque over samples", "sample")):
         traces = []
-        for number, one in enumerate(found.surveyed):
+        for number, one in enumerate(figures.surveyed):
             time, torque = one.overview.time, one.overview.torque
             if one.overview.timed != timed or np.isnan(torque).all():
                 continue

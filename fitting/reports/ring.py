@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.estimation.realised import Realised
-from fitting.reports.panels import Panel, Trace
+from fitting.reports.panels import Panel, Trace, stems
 
 Array = NDArray[np.float64]
 
@@ -26,8 +26,8 @@ _TITLES = {
 
 def ring_panel(ring: Realised) -> Panel:
     """Return the panel of circles of pins and teeth side by side, with displacements drawn outwards and enlarged."""
-    values = np.array([one.value for one in ring.elements]) * 1e6
-    ends = np.array([one.interval for one in ring.elements]) * 1e6
+    values = np.array([element.value for element in ring.elements]) * 1e6
+    ends = np.array([element.interval for element in ring.elements]) * 1e6
     told = bool(np.isfinite(ends).all())
     largest = max(float(np.abs(ends if told else values).max()), 1e-3)
     step = next(s * 10.0**p for p in range(-3, 7) for s in _STEPS if 3.0 * s * 10.0**p >= largest)
@@ -49,9 +49,9 @@ def ring_panel(ring: Realised) -> Panel:
         traces.append(Trace("", *drawn(1.0 + scale * values[part][closed], angle[closed]), "thin", 0))
         if told:
             low, high = 1.0 + scale * ends[part].T
-            spokes = np.stack([low, high, np.full(count, np.nan)], axis=1).ravel()
             label = "95 % interval" if number == 0 else ""
-            traces.append(Trace(label, *drawn(spokes, np.repeat(angle, 3)), "thick", 1))
+            at, spokes = stems(angle, low, high)
+            traces.append(Trace(label, *drawn(spokes, at), "thick", 1))
         else:
             traces.append(Trace("", *drawn(1.0 + scale * values[part], angle), "dots", 0))
         every = max(1, round(count / _NUMBERED))

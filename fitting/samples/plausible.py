@@ -122,15 +122,15 @@ class PlausibleBlocks:
         """Return one sentence on the samples left out, if any."""
         if not self.count:
             return []
-        place = "from {:.6g} s" if self._stream.timed else "from sample {:.6g}"
-        said = [f"{one.text} ({place.format(one.time)})" for one in self._found]
+        moment = "from {:.6g} s" if self._stream.timed else "from sample {:.6g}"
+        text = [f"{one.text} ({moment.format(one.time)})" for one in self._found]
         if self._faults > _SAID:
-            said.append(f"{self._faults - _SAID} more such faults")
+            text.append(f"{self._faults - _SAID} more such faults")
         if self._marked:
-            said.append(f"{self._marked} were marked in the file")
+            text.append(f"{self._marked} were marked in the file")
         return [
             f"{self._stream.source}: {self.count} of {self.samples} samples are implausible and were left out: "
-            f"{'; '.join(said)}."
+            f"{'; '.join(text)}."
         ]
 
 

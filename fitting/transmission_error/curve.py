@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import edge
 from fitting.transmission_error.unaveraged import Unaveraged
@@ -118,6 +118,16 @@ class Curve:
         """Torque at each point, shape (points,), N·m."""
         return np.full(self.input_angle.size, self.torque) if self.torque_each is None else self.torque_each
 
+    def moved(self, angle: float) -> Curve:
+        """Return the curve with another zero of the output: its transmission error is larger by an angle, rad."""
+        other = self.unaveraged
+        if other is not None:
+            other = dataclasses.replace(other, transmission_error=other.transmission_error + angle)
+        each = None if self.each_turn is None else self.each_turn + angle
+        return dataclasses.replace(
+            self, transmission_error=self.transmission_error + angle, each_turn=each, unaveraged=other
+        )
+
     def points(self, chosen: slice | NDArray[np.int64] | NDArray[np.bool_]) -> Curve:
         """Return the curve with some of its points, without the grid and the turns before averaging."""
         each = (
@@ -135,6 +145,11 @@ class Curve:
         return dataclasses.replace(
             self, grid=(0, 0.0), unaveraged=None, **{n: values[..., chosen] for n, values in there.items()}
         )
+
+
+def whole_turns(angle: ArrayLike, turn: float = 2.0 * np.pi) -> Array:
+    """Return the whole turns nearest to an angle, rad: an encoder's angle does not tell how many it has passed."""
+    return np.asarray(turn * np.round(np.asarray(angle, dtype=float) / turn))
 
 
 def noise_of(curve: Curve) -> float:
@@ -195,7 +210,7 @@ def curves_json(curves: Sequence[Curve]) -> dict[str, Any]:
     """Return curves and their notes as JSON data for scripts, SI."""
     data = curves_dataset(curves)
     numbers = {str(name): values.values for name, values in {**data.coords, **data.data_vars}.items()}
-    return {**numbers, "notes": [note for one in curves for note in one.notes]}
+    return {**numbers, "notes": [note for curve in curves for note in curve.notes]}
 
 
 def write_curves(curves: Sequence[Curve], path: str | os.PathLike[str]) -> None:

@@ -22,7 +22,7 @@ from fitting.readers.recording import Recording, RecordingStream
 from fitting.readers.sources import Source, each_source, open_source
 from fitting.samples.block import Block
 from fitting.samples.plausible import PlausibleBlocks
-from fitting.transmission_error.curve import Curve
+from fitting.transmission_error.curve import Curve, whole_turns
 from fitting.transmission_error.unaveraged import Steps
 
 Array = NDArray[np.float64]
@@ -136,11 +136,11 @@ class _Fold:
         error = error - self._reference
         torque = torque - self._torque_reference
         # Not `np.mod`, which takes a fifth of the folding.
-        place = angle - self.shift
-        place -= np.floor(place / self._turn) * self._turn
-        place = place / self._spacing + 1e-9
-        point = np.minimum(place.astype(np.int64), self._whole - 1)
-        inside = (place - (point + 0.5)) * self._spacing
+        position = angle - self.shift
+        position -= np.floor(position / self._turn) * self._turn
+        position = position / self._spacing + 1e-9
+        point = np.minimum(position.astype(np.int64), self._whole - 1)
+        inside = (position - (point + 0.5)) * self._spacing
         last = int(self._turn_of(angle.max() if self.direction > 0 else angle.min())) - self._open_turn
         turn = self._turn_of(angle) if last else self._open_turn
         if self._apart > 1:
@@ -260,10 +260,10 @@ class _Fold:
         # Turns that are not all in step may still meet, as every second one: samples at one angle are one point.
         sequence = np.argsort(angle)
         is_new = np.diff(angle[sequence], prepend=-1.0) > _EQUAL
-        place = np.empty(sequence.size, np.int64)
-        place[sequence] = np.cumsum(is_new) - 1
+        index = np.empty(sequence.size, np.int64)
+        index[sequence] = np.cumsum(is_new) - 1
         count, turns, variance, *merged = (
-            np.bincount(place, one) for one in (self.count[filled], n, n * (sums[3] / n - inside**2), *sums)
+            np.bincount(index, one) for one in (self.count[filled], n, n * (sums[3] / n - inside**2), *sums)
         )
         error, squares, _, _, each, speed, travel = (one / turns for one in merged)
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -273,7 +273,7 @@ class _Fold:
         if self._kept is not None:
             kept = np.full((len(self._kept), turns.size), np.nan)
             column = np.zeros(self.whole, np.int64)
-            column[filled] = place
+            column[filled] = index
             for row, (points, values) in zip(kept, self._kept, strict=True):
                 row[column[points]] = values + self._reference
         return Curve(
@@ -498,11 +498,16 @@ class Folding:
             for f in kept
         ]
         warm = float(total / count) if count else None
+        # Where an encoder's angle begins, just below or above its zero, is chance: the mean is known within one turn.
+        passed = float(whole_turns(found[0].transmission_error.mean(), 2.0 * np.pi / abs(stream.pulley)))
         return [
             dataclasses.replace(
-                one, temperature=warm, running_speed=_speed_of(one, stream), crank_speed=_crank_speed_of(one, stream)
-            )
-            for one in found
+                curve,
+                temperature=warm,
+                running_speed=_speed_of(curve, stream),
+                crank_speed=_crank_speed_of(curve, stream),
+            ).moved(-passed)
+            for curve in found
         ]
 
 
@@ -616,4 +621,8 @@ def curves(
         for block in blocks:
             folding.add(block)
         found += folding.curves(recording, blocks)
-    return found
+    common = [float(curve.transmission_error.mean()) for curve in found if curve.common_zero]
+    return [
+        curve.moved(-float(whole_turns(curve.transmission_error.mean() - common[0]))) if curve.common_zero else curve
+        for curve in found
+    ]

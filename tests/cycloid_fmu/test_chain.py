@@ -23,8 +23,8 @@ from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.reducer.lost_motion import parts_of
 from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.figures.metrics import figures_of
-from fitting.figures.survey import survey
 from fitting.readers.recording import Recording
+from fitting.transmission_error.survey import survey
 
 PAIR = read_pair(EXAMPLES / "drive-39-40.toml")
 SURFACE = surface_of_pair(PAIR)

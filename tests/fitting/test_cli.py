@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from common import BENCH
 
-from fitting.figures.survey import survey
+from fitting.transmission_error.survey import survey
 
 
 def test_identify_from_the_command_line(command, tmp_path):

@@ -12,12 +12,12 @@ import drivers
 import fitting
 from cycloid_fmu import edge
 from fitting.figures.metrics import figures_of
-from fitting.figures.survey import survey
 from fitting.readers.recording import Block, Recording
 from fitting.reports.panels import panels_of
 from fitting.samples.plausible import PlausibleBlocks
 from fitting.transmission_error.curve import noise_of, write_curves
 from fitting.transmission_error.folding import Folding
+from fitting.transmission_error.survey import survey
 
 
 def recorded(angle, error, ratio=-39.0, torque=50.0):
@@ -135,6 +135,29 @@ def test_memory_does_not_grow_with_the_speed_behind_a_slow_beginning():
     (curve,) = folding.curves(made, PlausibleBlocks(made, -39.0))
     assert curve.sample_count.sum() == angle.size
     assert curve.transmission_error == pytest.approx(1e-4 * np.cos(curve.input_angle), abs=1e-6)
+
+
+@pytest.mark.parametrize(("first", "second"), [(-0.5, 0.5), (179.5, 180.5)])
+def test_where_an_encoder_rolls_over_does_not_count_as_transmission_error(first, second):
+    """An angle within one turn begins at 0° or at 360° by chance; zeros 1° apart stay 1° apart if they are common."""
+    crank = np.linspace(0.0, 2.0 * np.pi * 39, 39 * 100)
+
+    def means(common):
+        runs = [
+            fitting.Run(
+                input_angle=crank,
+                output_angle=np.mod(-crank / 39 + 1e-4 * np.cos(crank) + np.radians(zero), 2.0 * np.pi),
+                torque=20.0,
+                common_zero=common,
+            )
+            for zero in (first, second)
+        ]
+        return np.degrees([curve.transmission_error.mean() for curve in fitting.curves(runs, -39.0)])
+
+    assert np.diff(means(common=True)) == pytest.approx([1.0], abs=1e-3)
+    for mean, zero in zip(means(common=False), (first, second), strict=True):
+        assert -180.0 <= mean <= 180.0
+        assert np.mod(mean - zero + 1.0, 360.0) == pytest.approx(1.0, abs=1e-3)
 
 
 def test_curve_file(tmp_path):

@@ -11,7 +11,7 @@ from common import MEASURED, MOTOR_MAPPING, study_size
 import fitting
 import fitting.figures.metrics
 from fitting.figures.friction_free import friction_free
-from fitting.figures.hysteresis import LoopData, find_lobes, find_loops
+from fitting.transmission_error.loops import LoopData, find_lobes, find_loops
 
 STIFFNESS, PLAY = 300.0, math.radians(1.0)  # N·m/rad, rad
 

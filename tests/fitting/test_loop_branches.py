@@ -15,10 +15,10 @@ from cycloid_fmu.surfaces.structured import structured_value, with_structured
 from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.estimation.identify import identify
 from fitting.estimation.plan import plan
-from fitting.figures.survey import survey
 from fitting.model.loops import branches_of, is_locked, on_the_curves_zero, play_of
 from fitting.model.observations import State, left_of, linearise, observations, spread_of
 from fitting.readers.recording import Recording
+from fitting.transmission_error.survey import survey
 
 ARCSEC = np.pi / 648000
 RATED, CRANK = 181.0, 7.3

@@ -10,9 +10,9 @@ from cycloid_fmu import edge
 from fitting.figures.comparison import read_figures
 from fitting.figures.hysteresis import drift_of
 from fitting.figures.metrics import figures_json, figures_of
-from fitting.figures.survey import survey
 from fitting.readers.recording import Recording
 from fitting.reports.panels import panels_of
+from fitting.transmission_error.survey import survey
 
 ARCMIN = np.pi / 10800
 RATED, STIFFNESS, EACH = 167.0, 30.0, 500  # N·m, N·m/arcmin, samples a branch

@@ -8,14 +8,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import fitting
+from fitting.figures.angular_error import angular_transmission_error
 from fitting.figures.figure import DEFINITIONS, Figure, in_field_units
-from fitting.figures.hysteresis import find_lobes, fit_line, loop_marks
+from fitting.figures.hysteresis import loop_marks
 from fitting.figures.metrics import figures_of
-from fitting.figures.spectrum import Spectrum, angular_transmission_error, range_of, spectrum, synthesised
 from fitting.figures.starts import back_driving_torques, starting_torques, starts_of
-from fitting.figures.survey import survey
 from fitting.readers.recording import Recording, RecordingStream
 from fitting.reports.panels import panels_of
+from fitting.transmission_error.loops import find_lobes, fit_line
+from fitting.transmission_error.spectrum import Spectrum, range_of, spectrum, synthesised
+from fitting.transmission_error.survey import survey
 
 SEEDS = study_size("CYCLOID_SEEDS", 5, 100)
 ARCMIN = np.pi / 10800
@@ -632,7 +634,7 @@ def test_a_curve_shows_the_orders_of_the_input_only_with_more_than_two_samples_p
 
 def test_an_overview_keeps_as_many_samples_as_it_may(monkeypatch):
     """Between half of the most and the most, whatever the length and however the blocks come."""
-    monkeypatch.setattr("fitting.figures.survey._OVERVIEW", 500)
+    monkeypatch.setattr("fitting.transmission_error.survey._OVERVIEW", 500)
     for samples in (900, 1100, 3900, 4100, 30000):
         made = recording(np.arange(samples) * 1e-3, np.arange(samples) * 1.0, np.arange(samples) / -39, 100.0)
         overview = survey(made, -39.0, None).overview
@@ -741,7 +743,9 @@ def test_the_input_s_torque_is_read_from_a_table_and_survives_an_overview(comman
     assert run.returncode == 0, run.stderr
     assert json.loads(run.stdout)["starting_torque"]["value"] == pytest.approx(0.04)
     assert json.loads(run.stdout)["starting_torque"]["starts"] == 3
-    monkeypatch.setattr("fitting.figures.survey._OVERVIEW", 1000)  # as if it were too long to be kept complete
+    monkeypatch.setattr(
+        "fitting.transmission_error.survey._OVERVIEW", 1000
+    )  # as if it were too long to be kept complete
     surveyed = survey(RecordingStream(tmp_path / "start.csv"), -39.0, None)
     assert surveyed.averaged == 2
     found = figures_of([surveyed], -39.0, None)

@@ -8,9 +8,9 @@ import pytest
 from common import study_size
 
 from fitting.figures.metrics import figures_of
-from fitting.figures.survey import survey
 from fitting.readers.recording import Recording
 from fitting.reports.figures_report import write_figures_report
+from fitting.transmission_error.survey import survey
 
 SEEDS = study_size("CYCLOID_SEEDS", 5, 100)
 ARCMIN = np.pi / 10800

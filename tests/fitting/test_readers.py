@@ -18,7 +18,6 @@ from pyarrow import parquet
 import fitting
 from cycloid_fmu import edge
 from drivers.recording_format import GAP
-from fitting.figures.survey import lag_of
 from fitting.readers import formats
 from fitting.readers.first_samples import FirstSamples
 from fitting.readers.formats import PIECE, BenchFile, RawChannel, open_bench_file, unit_text
@@ -26,6 +25,7 @@ from fitting.readers.inspection import Inspection, inspect, is_commanded, roles_
 from fitting.readers.mapping import read_mapping
 from fitting.readers.recording import RecordingStream
 from fitting.readers.tables import find_dialect
+from fitting.transmission_error.survey import lag_of
 
 SAMPLES = 4000
 TIME = np.arange(SAMPLES) * 1e-3

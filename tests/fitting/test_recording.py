@@ -17,10 +17,10 @@ from drivers.recording_format import (
     read_recording,
 )
 from fitting.figures.metrics import figures_of
-from fitting.figures.survey import survey
 from fitting.readers.formats import Piece
 from fitting.readers.recording import RecordingStream
 from fitting.samples.one_clock import OneClock
+from fitting.transmission_error.survey import survey
 
 ARCSEC = np.pi / 648000
 HEADER = "time [s],input_angle [rad],output_angle [rad],torque [N*m]"

@@ -12,10 +12,10 @@ from test_metrics import ARCMIN, ARCSEC, KNOWN, loop, recording, run_with
 
 from cycloid_fmu.geometry.pair import read_pair
 from fitting.figures.metrics import figures_of
-from fitting.figures.survey import survey
 from fitting.reports.page import html_page
 from fitting.reports.panels import Panel, Trace, names_above, order_name, panels_of
 from fitting.reports.report import report
+from fitting.transmission_error.survey import survey
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 

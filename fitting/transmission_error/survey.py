@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
-from fitting.figures.hysteresis import LoopData, loops_of
-from fitting.figures.loop_groups import loop_groups, positions_of
 from fitting.readers.mapping import ANGLES, OPTIONAL
 from fitting.readers.recording import Recording, RecordingStream
 from fitting.samples.block import Block
 from fitting.samples.plausible import PlausibleBlocks
 from fitting.transmission_error.curve import Curve
 from fitting.transmission_error.folding import Folding
+from fitting.transmission_error.loop_groups import loop_groups, positions_of
+from fitting.transmission_error.loops import LoopData, loops_of
 
 Array = NDArray[np.float64]
 
@@ -290,7 +290,7 @@ def at_positions(surveyed: Surveyed, ratio: float | None, rated_torque: float | 
         return [surveyed]
     overview = surveyed.overview
     rated = rated_torque or float(np.abs(overview.torque).max())
-    found = []
+    surveys = []
     for number, group in enumerate(positions):
         part = slice(*np.searchsorted(overview.time, [group.time[0], np.nextafter(group.time[-1], np.inf)]))
         columns = {f.name: getattr(overview, f.name) for f in dataclasses.fields(Block)}
@@ -298,7 +298,7 @@ def at_positions(surveyed: Surveyed, ratio: float | None, rated_torque: float | 
         name = f"position {number + 1}" if group.group is None else f"group {group.group:g}"
         here = dataclasses.replace(here, source=f"{surveyed.source}, {name}")
         loops, notes = loops_of(here, ratio, rated)
-        found.append(
+        surveys.append(
             dataclasses.replace(
                 surveyed,
                 source=here.source,
@@ -310,7 +310,7 @@ def at_positions(surveyed: Surveyed, ratio: float | None, rated_torque: float | 
             )
         )
         smaller = []
-    return found
+    return surveys
 
 
 def _lag_note(recording: Recording, ratio: float) -> list[str]:
@@ -357,8 +357,8 @@ def lag_of(recording: Recording, ratio: float) -> tuple[float, float] | None:
     waves = np.multiply.outer(angle, np.array([1.0, 2.0, 1.0 + 1.0 / abs(ratio), 1.0 / abs(ratio)]))
     columns = np.column_stack([np.ones(angle.size), np.sign(speed), np.cos(waves), np.sin(waves)])
     both = np.column_stack([output - angle / ratio, speed])
-    left = both - columns @ np.linalg.lstsq(columns, both, rcond=None)[0]
-    error, changes = left.T
+    residual = both - columns @ np.linalg.lstsq(columns, both, rcond=None)[0]
+    error, changes = residual.T
     spread = float(changes @ changes)
     if np.sqrt(spread / time.size) < 0.02 * np.abs(speed).max():
         return None

@@ -8,12 +8,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from cycloid_fmu import edge
 from cycloid_fmu.geometry.pair import Pair
-from fitting.figures.figure import DEFINITIONS, UNITS, Figure
 from fitting.transmission_error.curve import Curve
 
 Array = NDArray[np.float64]
@@ -25,7 +24,6 @@ _WINDOW = 101  # neighbouring orders whose median is the noise floor of an order
 _HOLES = 0.02  # share of a turn's points that may be empty
 _COARSER = 8  # factor between the points and the coarser ones in which a curve's peak is searched first
 _MANY = 1 << 18  # points from which the coarser search saves time
-_REDRAWN = 200  # spectra drawn with the noise found, for the uncertainty of a largest and a smallest value
 
 
 @dataclass(frozen=True)
@@ -102,10 +100,10 @@ def spectrum(curve: Curve) -> Spectrum:
         points = curve.input_angle.size
         shift = float(curve.input_angle[0]) - 0.5 * turn / points
     scale = 1.0 / abs(curve.ratio)  # from crank angles to those of the output turn
-    place = np.mod(curve.input_angle - shift, turn) * scale
-    variance = np.zeros(place.size) if curve.angle_variance is None else curve.angle_variance * scale**2
+    position = np.mod(curve.input_angle - shift, turn) * scale
+    variance = np.zeros(position.size) if curve.angle_variance is None else curve.angle_variance * scale**2
     while True:
-        gathered = _gridded(place, curve.transmission_error, variance, curve.sample_count.astype(float), points)
+        gathered = _gridded(position, curve.transmission_error, variance, curve.sample_count.astype(float), points)
         filled = gathered[3]
         if np.count_nonzero(filled) >= (1.0 - _HOLES) * points or points <= 64:
             break
@@ -133,15 +131,14 @@ def spectrum(curve: Curve) -> Spectrum:
         model = synthesised(wave, points)
         model += synthesised(1j * order * wave, points) * inside
         model += synthesised(-(order**2) * wave, points) * (0.5 * (inside**2 + spread))
-        step = np.fft.rfft(np.where(filled, value - model, 0.0))[: highest + 1] * (2.0 / points) / shift_phase
-        step[0] *= 0.5
+        step = coefficients_of(np.where(filled, value - model, 0.0), points)[: highest + 1] / shift_phase
         coefficient = coefficient + step
         # Converged far below the noise of an order, or without noise, relative to the largest order.
         amplitude = np.abs(coefficient[1:])
         if np.abs(step[1:]).max() <= max(1e-9 * amplitude.max(), 1e-4 * float(np.median(amplitude))):
             break
     power = np.abs(coefficient[1:]) ** 2
-    floor = np.sqrt(ndimage.median_filter(power, min(_WINDOW, power.size), mode="reflect") / np.log(2.0))
+    floor = noise_floor(power, _WINDOW)
     floor = np.maximum(np.concatenate([floor[:1], floor]), 1e-15)
     return Spectrum(coefficient, floor, curve.turns)
 
@@ -156,6 +153,28 @@ def without_orders(orders: Spectrum, left_out: Sequence[int]) -> Spectrum:
     """Return a spectrum without some of its orders; its noise floor is unchanged."""
     kept = ~np.isin(np.arange(orders.coefficient.size), left_out)
     return dataclasses.replace(orders, coefficient=np.where(kept, orders.coefficient, 0.0))
+
+
+def coefficients_of(values: ArrayLike, samples: int, points: int | None = None) -> NDArray[np.complex128]:
+    """Return the complex amplitudes of even values, shape (n,): the inverse of `synthesised`.
+
+    Parameters
+    ----------
+    values
+        Values at even angles from 0; 0 where there is none.
+    samples
+        Number of them that are there.
+    points
+        Values to which they are extended by zeros, for finer orders.
+    """
+    coefficient: NDArray[np.complex128] = np.fft.rfft(values, points) * (2.0 / samples)
+    coefficient[0] *= 0.5
+    return coefficient
+
+
+def noise_floor(power: Array, window: int) -> Array:
+    """Return the rms amplitude of the noise at each order from the median of the squares of its neighbours."""
+    return np.asarray(np.sqrt(ndimage.median_filter(power, min(window, power.size), mode="reflect") / np.log(2.0)))
 
 
 def synthesised(coefficient: NDArray[np.complex128], points: int) -> Array:
@@ -175,18 +194,18 @@ def synthesised(coefficient: NDArray[np.complex128], points: int) -> Array:
 
 
 def _gridded(
-    place: Array, error: Array, variance: Array, weight: Array, points: int
+    position: Array, error: Array, variance: Array, weight: Array, points: int
 ) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
     """Gather points on an even grid of the output turn: mean error, mean and variance of the angle within, filled.
 
     All results have shape (points,); angles are relative to the centre of each grid cell, rad of the output.
     """
     spacing = 2.0 * np.pi / points
-    number = np.minimum((place / spacing + 1e-9).astype(np.int64), points - 1)
+    number = np.minimum((position / spacing + 1e-9).astype(np.int64), points - 1)
     total = np.bincount(number, weight, points)
     filled = total > 0.0
     total[~filled] = 1.0
-    offset = place - (number + 0.5) * spacing
+    offset = position - (number + 0.5) * spacing
     inside = np.bincount(number, weight * offset, points) / total
     second = np.bincount(number, weight * (offset**2 + variance), points) / total
     value = np.bincount(number, weight * error, points) / total
@@ -225,50 +244,6 @@ def range_of_orders(orders: Spectrum) -> float:
     highest = int(np.flatnonzero(kept).max(initial=1))
     points = 1 << max(10, math.ceil(math.log2(16 * highest)))
     return float(range_of(kept[: highest + 1], points)[0])
-
-
-def angular_transmission_error(curve: Curve, orders: Spectrum, runaway: float = 0.0, *, seed: int = 0) -> Figure:
-    """Return the largest minus the smallest transmission error over one output turn of a curve.
-
-    Only orders above the noise are used, because the range of noisy values is too large. The contribution of the noise
-    in these orders is estimated from spectra with random noise: its mean is subtracted, its scatter is the uncertainty.
-
-    Parameters
-    ----------
-    curve, orders
-        A curve over a whole turn and its orders.
-    runaway
-        Half width of the 95 % interval, rad, of the error's drift over the recording between two clocks; the share of
-        one turn is added to the uncertainty, because every turn starts again.
-    seed
-        Random seed of the noise.
-    """
-    rng = np.random.default_rng(seed)
-    kept = np.where(orders.significant, orders.coefficient, 0.0)
-    highest = int(np.flatnonzero(orders.significant).max(initial=1))
-    points = 1 << max(10, math.ceil(math.log2(64 * highest)))
-    found = float(range_of(kept[: highest + 1], points)[0])
-    drawn = np.empty(_REDRAWN)
-    step = max(1, (1 << 22) // points)
-    for begin in range(0, _REDRAWN, step):
-        rows = min(step, _REDRAWN - begin)
-        noise = rng.normal(size=(rows, 2, highest + 1)) * (orders.floor[: highest + 1] / math.sqrt(2.0))
-        noisy = kept[: highest + 1] + noise[:, 0] + 1j * noise[:, 1]
-        out = significant(noisy, orders.floor[: highest + 1], orders.floor.size)
-        drawn[begin : begin + rows] = range_of(np.where(out, noisy, 0.0), points)
-    bias = float(drawn.mean()) - found
-    uncertainty = math.hypot(1.96 * float(drawn.std(ddof=1)), runaway / max(curve.turns, 1.0))
-    name = "angular_transmission_error"
-    return Figure(
-        max(found - bias, 0.0),
-        uncertainty,
-        UNITS[name],
-        DEFINITIONS[name],
-        (0.0, 2.0 * math.pi),
-        "rad",
-        curve.turns,
-        "turns",
-    )
 
 
 def range_of(coefficient: NDArray[np.complex128], points: int) -> Array:
@@ -320,14 +295,14 @@ def _parabola_top(before: Array, peak: Array, after: Array) -> Array:
 def _top_near(coefficient: NDArray[np.complex128], coarse: NDArray[np.int64], points: int) -> float:
     """Return `_top` of a curve whose peak is next to one of the `coarse` points, indices of every eighth point."""
     around = np.arange(-_COARSER - 1, _COARSER + 2)
-    place = np.unique(_COARSER * coarse[:, None] + around)
-    if place.size > points // 512:
+    index = np.unique(_COARSER * coarse[:, None] + around)
+    if index.size > points // 512:
         return float(_top(synthesised(coefficient[None], points))[0])
     # Sum over orders k = 128 i + j as a double sum: as many products as orders, but few sines.
     blocks = -(-coefficient.size // 128)
     table = np.zeros((blocks, 128), complex)
     table.ravel()[: coefficient.size] = coefficient
-    angle = place * (2.0 * np.pi / points)
+    angle = index * (2.0 * np.pi / points)
     # No matrix product: BLAS would start all processors for these few numbers, which takes ten times as long.
     inner = np.einsum("pj,ij->pi", np.exp(1j * np.multiply.outer(angle, np.arange(128))), table)
     values = (inner * np.exp(1j * np.multiply.outer(angle, 128 * np.arange(blocks)))).sum(axis=1).real
