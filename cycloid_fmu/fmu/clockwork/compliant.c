@@ -1,9 +1,9 @@
 /* The compliant interface: both flanges with prescribed motion, or inertias inside; or the rotor's inside and the arm in the
-   host, of which each step takes angle, speed, inertia and torque (docs/theory/joint.md). Contacts, series compliance and friction
-   store one energy E(θ, φ_b) whose derivatives are the torques, so a closed cycle gains no energy; damping, losses and
-   sliding friction only dissipate. Between communication points the flanges continue at their speeds, so that the torques
-   at the end of a step are not a step late. The motion of inertias inside is solved in sub-steps that conserve the energy
-   balance (a discrete gradient: O. Gonzalez, Time integration and discrete Hamiltonian systems, J. Nonlinear Sci. 6,
+   host, of which each step takes angle, speed, inertia and torque (docs/theory/joint.md). Contacts, series compliance and
+   friction store one energy E(θ, φ_b) whose derivatives are the torques, so a closed cycle gains no energy; damping, losses
+   and sliding friction only dissipate. Between communication points the flanges continue at their speeds, so that the
+   torques at the end of a step are not a step late. The motion of inertias inside is solved in sub-steps that conserve the
+   energy balance (a discrete gradient: O. Gonzalez, Time integration and discrete Hamiltonian systems, J. Nonlinear Sci. 6,
    1996). */
 #include "drive.h"
 
@@ -144,8 +144,8 @@ static double by_phase(const struct drive *drive, const struct pressed *at) {
 }
 
 /* A sub-step: torques on output and crank, that on the crank less by `servo` times its displacement; displacements of crank
-   and output; stored energy at half the crank's displacement, before and after the
-   change of the transmission error, and at the end; mean torques. */
+   and output; stored energy at half the crank's displacement, before and after the change of the transmission error, and at
+   the end; mean torques. */
 struct swing {
     double load, drives, servo;
     double turn, way, damping, crank_torque;

@@ -4,7 +4,11 @@
 
 #include "fmi2Functions.h"
 #include "format.h"
-#include "instance.h"
+
+#define VERSION fmi2
+typedef fmi2Component fmi2Handle;
+typedef fmi2Real fmi2Number;
+#include "fmi_common.h"
 
 #ifdef SOURCE_HASH
 FMI2_Export const char cycloid_sources[] = SOURCE_HASH; /* by which a library of other sources is recognised */
@@ -24,15 +28,6 @@ const char *fmi2GetTypesPlatform(void) {
     return fmi2TypesPlatform;
 }
 
-const char *fmi2GetVersion(void) {
-    return fmi2Version;
-}
-
-fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const fmi2String categories[]) {
-    (void)c, (void)on, (void)n, (void)categories; /* refusals and the one warning are always logged */
-    return fmi2OK;
-}
-
 fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String resources,
                               const fmi2CallbackFunctions *functions, fmi2Boolean visible, fmi2Boolean logging) {
     struct instance *instance = calloc(1, sizeof *instance);
@@ -49,10 +44,6 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     return instance;
 }
 
-void fmi2FreeInstance(fmi2Component c) {
-    instance_close(c);
-}
-
 fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean toleranceDefined, fmi2Real tolerance, fmi2Real start,
                                fmi2Boolean stopDefined, fmi2Real stop) {
     (void)toleranceDefined, (void)tolerance, (void)stopDefined, (void)stop;
@@ -64,43 +55,14 @@ fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
     return (fmi2Status)instance_initialize(c, *instance_time(c));
 }
 
-fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
-    return (fmi2Status)instance_start(c);
-}
-
-fmi2Status fmi2Terminate(fmi2Component c) {
-    return (fmi2Status)instance_terminate(c);
-}
-
-fmi2Status fmi2Reset(fmi2Component c) {
-    return (fmi2Status)instance_reset(c);
-}
-
 #define GETTER(NAME, TYPE, KIND)                                                                                       \
     fmi2Status NAME(fmi2Component c, const fmi2ValueReference references[], size_t n, TYPE values[]) {                 \
-        size_t i;                                                                                                      \
-        for (i = 0; i < n; i++) {                                                                                      \
-            const struct variable *variable = instance_variable(c, references[i], KIND);                               \
-            double value;                                                                                              \
-            if (variable == NULL || instance_get(c, variable, &value) != STATUS_OK) {                                  \
-                return fmi2Error;                                                                                      \
-            }                                                                                                          \
-            values[i] = (TYPE)value;                                                                                   \
-        }                                                                                                              \
-        return fmi2OK;                                                                                                 \
+        GET_ALL(TYPE, KIND)                                                                                            \
     }
 
 #define SETTER(NAME, TYPE, KIND)                                                                                       \
     fmi2Status NAME(fmi2Component c, const fmi2ValueReference references[], size_t n, const TYPE values[]) {           \
-        size_t i;                                                                                                      \
-        int status = STATUS_OK;                                                                                        \
-        for (i = 0; i < n; i++) {                                                                                      \
-            const struct variable *variable = instance_variable(c, references[i], KIND);                               \
-            if (variable == NULL || instance_set(c, variable, (double)values[i]) != STATUS_OK) {                       \
-                status = STATUS_ERROR;                                                                                 \
-            }                                                                                                          \
-        }                                                                                                              \
-        return (fmi2Status)status;                                                                                     \
+        SET_ALL(KIND)                                                                                                  \
     }
 
 GETTER(fmi2GetReal, fmi2Real, KIND_REAL)
@@ -157,10 +119,6 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
     return (fmi2Status)instance_derivatives(c, unknowns, nUnknowns, knowns, nKnowns, seeds, derivatives, 0);
 }
 
-fmi2Status fmi2EnterEventMode(fmi2Component c) {
-    return (fmi2Status)instance_enter(c, EVENT);
-}
-
 fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info) {
     info->newDiscreteStatesNeeded = info->terminateSimulation = info->nominalsOfContinuousStatesChanged = fmi2False;
     info->nextEventTimeDefined = fmi2False;
@@ -168,39 +126,8 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info) {
     return (fmi2Status)instance_update(c);
 }
 
-fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) {
-    return (fmi2Status)instance_enter(c, CONTINUOUS);
-}
-
-fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean noSetFMUStatePriorToCurrentPoint,
-                                       fmi2Boolean *enterEventMode, fmi2Boolean *terminateSimulation) {
-    (void)noSetFMUStatePriorToCurrentPoint;
-    *enterEventMode = *terminateSimulation = fmi2False;
-    return (fmi2Status)instance_completed(c);
-}
-
-fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time) {
-    return (fmi2Status)instance_set_time(c, time);
-}
-
-fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real x[], size_t nx) {
-    return (fmi2Status)instance_set_states(c, x, nx);
-}
-
 fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real derivatives[], size_t nx) {
     return (fmi2Status)instance_rates(c, derivatives, nx);
-}
-
-fmi2Status fmi2GetEventIndicators(fmi2Component c, fmi2Real eventIndicators[], size_t ni) {
-    return (fmi2Status)instance_indicators(c, eventIndicators, ni);
-}
-
-fmi2Status fmi2GetContinuousStates(fmi2Component c, fmi2Real x[], size_t nx) {
-    return (fmi2Status)instance_states(c, x, nx);
-}
-
-fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component c, fmi2Real x_nominal[], size_t nx) {
-    return (fmi2Status)instance_nominals(c, x_nominal, nx);
 }
 
 fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference references[], size_t n,

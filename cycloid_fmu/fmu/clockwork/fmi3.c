@@ -6,7 +6,11 @@
 #pragma clang diagnostic ignored "-Wstrict-prototypes" /* of FMI's own header */
 #endif
 #include "fmi3Functions.h"
-#include "instance.h"
+
+#define VERSION fmi3
+typedef fmi3Instance fmi3Handle;
+typedef fmi3Float64 fmi3Number;
+#include "fmi_common.h"
 
 static void log_message(struct instance *instance, int status, const char *message) {
     fmi3LogMessageCallback callback = (fmi3LogMessageCallback)instance->callback3;
@@ -14,15 +18,6 @@ static void log_message(struct instance *instance, int status, const char *messa
         callback(instance->environment, (fmi3Status)status,
                  status == STATUS_WARNING ? "logStatusWarning" : "logStatusError", message);
     }
-}
-
-const char *fmi3GetVersion(void) {
-    return fmi3Version;
-}
-
-fmi3Status fmi3SetDebugLogging(fmi3Instance c, fmi3Boolean on, size_t n, const fmi3String categories[]) {
-    (void)c, (void)on, (void)n, (void)categories; /* refusals and the one warning are always logged */
-    return fmi3OK;
 }
 
 static struct instance *opened(fmi3String name, fmi3String token, fmi3String resources, void *environment,
@@ -74,26 +69,10 @@ fmi3Instance fmi3InstantiateScheduledExecution(fmi3String name, fmi3String token
     return opened(name, token, resources, environment, callback, 0, 0, 0, "Scheduled Execution");
 }
 
-void fmi3FreeInstance(fmi3Instance c) {
-    instance_close(c);
-}
-
 fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean toleranceDefined, fmi3Float64 tolerance,
                                        fmi3Float64 start, fmi3Boolean stopDefined, fmi3Float64 stop) {
     (void)toleranceDefined, (void)tolerance, (void)stopDefined, (void)stop;
     return (fmi3Status)instance_initialize(c, start);
-}
-
-fmi3Status fmi3ExitInitializationMode(fmi3Instance c) {
-    return (fmi3Status)instance_start(c);
-}
-
-fmi3Status fmi3Terminate(fmi3Instance c) {
-    return (fmi3Status)instance_terminate(c);
-}
-
-fmi3Status fmi3Reset(fmi3Instance c) {
-    return (fmi3Status)instance_reset(c);
 }
 
 static int too_few(struct instance *instance) {
@@ -103,34 +82,17 @@ static int too_few(struct instance *instance) {
 #define ACCESS(TYPE, KIND)                                                                                             \
     fmi3Status fmi3Get##TYPE(fmi3Instance c, const fmi3ValueReference references[], size_t n, fmi3##TYPE values[],     \
                              size_t nValues) {                                                                         \
-        size_t i;                                                                                                      \
         if (n != nValues) {                                                                                            \
             return (fmi3Status)too_few(c);                                                                             \
         }                                                                                                              \
-        for (i = 0; i < n; i++) {                                                                                      \
-            const struct variable *variable = instance_variable(c, references[i], KIND);                               \
-            double value;                                                                                              \
-            if (variable == NULL || instance_get(c, variable, &value) != STATUS_OK) {                                  \
-                return fmi3Error;                                                                                      \
-            }                                                                                                          \
-            values[i] = (fmi3##TYPE)value;                                                                             \
-        }                                                                                                              \
-        return fmi3OK;                                                                                                 \
+        GET_ALL(fmi3##TYPE, KIND)                                                                                      \
     }                                                                                                                  \
     fmi3Status fmi3Set##TYPE(fmi3Instance c, const fmi3ValueReference references[], size_t n,                          \
                              const fmi3##TYPE values[], size_t nValues) {                                              \
-        size_t i;                                                                                                      \
-        int status = STATUS_OK;                                                                                        \
         if (n != nValues) {                                                                                            \
             return (fmi3Status)too_few(c);                                                                             \
         }                                                                                                              \
-        for (i = 0; i < n; i++) {                                                                                      \
-            const struct variable *variable = instance_variable(c, references[i], KIND);                               \
-            if (variable == NULL || instance_set(c, variable, (double)values[i]) != STATUS_OK) {                       \
-                status = STATUS_ERROR;                                                                                 \
-            }                                                                                                          \
-        }                                                                                                              \
-        return (fmi3Status)status;                                                                                     \
+        SET_ALL(KIND)                                                                                                  \
     }
 
 ACCESS(Float64, KIND_REAL)
@@ -208,10 +170,6 @@ ABSENT(fmi3GetClock, (fmi3Instance c, const fmi3ValueReference references[], siz
 ABSENT(fmi3SetClock, (fmi3Instance c, const fmi3ValueReference references[], size_t n, const fmi3Clock values[]),
        "clocks")
 
-fmi3Status fmi3EnterEventMode(fmi3Instance c) {
-    return (fmi3Status)instance_enter(c, EVENT);
-}
-
 fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *discreteStatesNeedUpdate,
                                     fmi3Boolean *terminateSimulation, fmi3Boolean *nominalsOfContinuousStatesChanged,
                                     fmi3Boolean *valuesOfContinuousStatesChanged, fmi3Boolean *nextEventTimeDefined,
@@ -223,42 +181,12 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *discreteStatesN
     return (fmi3Status)instance_update(c);
 }
 
-fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance c) {
-    return (fmi3Status)instance_enter(c, CONTINUOUS);
-}
-
 fmi3Status fmi3EnterStepMode(fmi3Instance c) {
     return (fmi3Status)instance_enter(c, STEPPING);
 }
 
-fmi3Status fmi3CompletedIntegratorStep(fmi3Instance c, fmi3Boolean noSetFMUStatePriorToCurrentPoint,
-                                       fmi3Boolean *enterEventMode, fmi3Boolean *terminateSimulation) {
-    *enterEventMode = *terminateSimulation = fmi3False;
-    return (fmi3Status)instance_completed(c);
-}
-
-fmi3Status fmi3SetTime(fmi3Instance c, fmi3Float64 time) {
-    return (fmi3Status)instance_set_time(c, time);
-}
-
-fmi3Status fmi3SetContinuousStates(fmi3Instance c, const fmi3Float64 continuousStates[], size_t nContinuousStates) {
-    return (fmi3Status)instance_set_states(c, continuousStates, nContinuousStates);
-}
-
 fmi3Status fmi3GetContinuousStateDerivatives(fmi3Instance c, fmi3Float64 derivatives[], size_t nContinuousStates) {
     return (fmi3Status)instance_rates(c, derivatives, nContinuousStates);
-}
-
-fmi3Status fmi3GetEventIndicators(fmi3Instance c, fmi3Float64 eventIndicators[], size_t nEventIndicators) {
-    return (fmi3Status)instance_indicators(c, eventIndicators, nEventIndicators);
-}
-
-fmi3Status fmi3GetContinuousStates(fmi3Instance c, fmi3Float64 continuousStates[], size_t nContinuousStates) {
-    return (fmi3Status)instance_states(c, continuousStates, nContinuousStates);
-}
-
-fmi3Status fmi3GetNominalsOfContinuousStates(fmi3Instance c, fmi3Float64 nominals[], size_t nContinuousStates) {
-    return (fmi3Status)instance_nominals(c, nominals, nContinuousStates);
 }
 
 fmi3Status fmi3GetNumberOfEventIndicators(fmi3Instance c, size_t *nEventIndicators) {
