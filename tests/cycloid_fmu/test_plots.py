@@ -1,5 +1,7 @@
 """Plots: choice of panels and labels."""
 
+import itertools
+import math
 import types
 
 import numpy as np
@@ -137,6 +139,18 @@ def test_a_front_has_no_design_that_another_is_better_than():
     assert on_front(alike).tolist() == [False, True]
     (axis, _) = plot_designs(alike, task, "front").axes
     assert np.ptp(axis.get_xlim()) > 50 * np.ptp([line.get_xdata()[0] for line in axis.lines[1:]])
+
+
+def test_numbers_of_designs_do_not_overlap():
+    """Designs in bunches along a front, as a search returns them: each number is written once."""
+    backlash = np.array([1.0, 1.02, 1.04, 1.06, 1.5, 1.52, 2.4, 2.42, 2.44, 3.0]) * 1e-4
+    found = [design(b, 1e6 * (1.0 + 0.3 * math.log(b / 1e-4))) for b in backlash]
+    figure = plot_designs(found, task_for("backlash", "torsional_stiffness"), "front")
+    figure.canvas.draw()
+    labels = figure.axes[0].texts
+    assert sorted(int(n) for label in labels for n in label.get_text().split(",")) == list(range(1, 11))
+    boxes = [label.get_window_extent() for label in labels]
+    assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2))
 
 
 def test_a_margin_of_nearly_nothing_looks_like_it():
