@@ -443,7 +443,7 @@ def plot_tolerance(result: object) -> Figure:
             if not column.size:
                 axis.text(0.5, 0.5, "none in any drive", transform=axis.transAxes, ha="center")
             elif _varies(column):
-                axis.hist(column, bins="auto", histtype="stepfilled", alpha=0.5, label=label)
+                axis.hist(column, bins="auto", histtype="stepfilled", alpha=0.5, color=f"C{k}", label=label)
             else:
                 alike = f"{label or 'all drives'}: {column[0]:.4g} in each"
                 axis.vlines(column[0], 0.0, column.size, f"C{k}", lw=3.0, label=alike)

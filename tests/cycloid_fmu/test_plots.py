@@ -12,14 +12,17 @@ import cycloid_fmu as cy
 from cycloid_fmu.draw.designs import plot_designs
 from cycloid_fmu.draw.drive_picture import close_up
 from cycloid_fmu.draw.figure import new_figure
-from cycloid_fmu.draw.plots import plot_analysis, plot_bearings
+from cycloid_fmu.draw.plots import plot_analysis, plot_bearings, plot_tolerance
 from cycloid_fmu.draw.sweeps import plot_sweep
 from cycloid_fmu.draw.verdicts import plot_duty, show_verdicts
 from cycloid_fmu.drive_value import DriveValue
-from cycloid_fmu.geometry.pair import parse_pair
+from cycloid_fmu.edge import ARCSEC
+from cycloid_fmu.geometry.pair import parse_pair, read_pair
 from cycloid_fmu.studies.design import DesignTask, on_front
 from cycloid_fmu.studies.limits import Limits, line_of, not_judged, not_judged_line, read_requirements, verdict
+from cycloid_fmu.studies.tolerance import Result, Study
 from cycloid_fmu.studies.verdicts import judge_drive, loads_of
+from cycloid_fmu.surfaces.sampling import read_tolerances
 from cycloid_fmu.surfaces.surface import surface_of_pair
 
 SIZES = dict(gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm")
@@ -139,6 +142,25 @@ def test_a_front_has_no_design_that_another_is_better_than():
     assert on_front(alike).tolist() == [False, True]
     (axis, _) = plot_designs(alike, task, "front").axes
     assert np.ptp(axis.get_xlim()) > 50 * np.ptp([line.get_xdata()[0] for line in axis.lines[1:]])
+
+
+def test_a_figure_that_is_the_same_in_all_drives_is_one_bar_of_all_drives():
+    """One that varies is a histogram, and without a limit such a figure is not drawn."""
+    tolerances = read_tolerances(EXAMPLES / "tolerances.toml")
+    study = Study(read_pair(EXAMPLES / "drive-39-40.toml"), tolerances, 64, 1, (181.0, -90.0))
+    values = np.random.default_rng(1).normal(2e-4, 2e-5, (64, len(study.columns)))
+    same = [i for i, (name, _) in enumerate(study.columns) if name in ("backlash", "interference")]
+    values[:, same] = 5e-4
+    axes = {
+        axis.get_xlabel().split(" [")[0]: axis for axis in plot_tolerance(Result(study, values, np.arange(64))).axes
+    }
+    assert "interference" not in axes
+    (bar,) = axes["backlash"].collections
+    ((bottom, top),) = bar.get_segments()
+    assert bottom == pytest.approx([5e-4 * ARCSEC, 0.0])
+    assert top == pytest.approx([5e-4 * ARCSEC, 64.0])
+    assert not axes["backlash"].patches
+    assert axes["lost motion"].patches
 
 
 def test_numbers_of_designs_do_not_overlap():
