@@ -162,13 +162,13 @@ def _print(found: Transmission, title: str) -> None:
     for k, load in enumerate(found.torque):
         mean, range_ = (figures[n][k] * edge.ARCSEC for n in ("MTE", "PPTE"))
         play, play_range = (figures[n][0] * edge.ARCSEC for n in ("MB", "PPB"))
-        backlash = [f"{play:.4f}″", f"{play_range:.4f}″"] if has_play else ["interference", f"{deepest:.3f} µm"]
+        backlash = [f"{play:z.4f}″", f"{play_range:z.4f}″"] if has_play else ["interference", f"{deepest:.3f} µm"]
         count = found.contact_count[k]
         rows.append(
             [
                 f"{load:g} N·m",
-                f"{mean:.4f}″",
-                f"{range_:.4f}″",
+                f"{mean:z.4f}″",
+                f"{range_:z.4f}″",
                 *backlash,
                 f"{figures['MCS'][k] * 1e-6:.1f} MPa",
                 f"{count.min()}–{count.max()}",

@@ -62,9 +62,9 @@ def simulate(
         return
     te = results["transmission_error"] * edge.ARCSEC
     rows = [
-        ["TE mean", f"{te.mean():.4f}″"],
-        ["TE peak-peak", f"{np.ptp(te):.4f}″"],
-        ["backlash mean", f"{results['backlash'].mean() * edge.ARCSEC:.4f}″"],
+        ["TE mean", f"{te.mean():z.4f}″"],
+        ["TE peak-peak", f"{np.ptp(te):z.4f}″"],
+        ["backlash mean", f"{results['backlash'].mean() * edge.ARCSEC:z.4f}″"],
         ["largest pressure", f"{results['max_contact_pressure'].max() * 1e-6:.1f} MPa"],
     ]
     commands.print_table(fmu_file.name, ["figure", "value"], rows)

@@ -13,8 +13,10 @@ from cycloid_fmu.studies.design import Design, DesignTask, on_front, shown
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from numpy.typing import NDArray
 
 
+_LABEL = (0.05, 0.1)  # of the axes: width and height of a design's number
 _SHARE = 0.01  # of a goal: less is not worth a design, and does not fill an axis
 
 
@@ -60,7 +62,6 @@ def _front(axes: Axes, found: Sequence[Design], task: DesignTask) -> None:
             mfc="C0" if of_front else "white",
             zorder=2,
         )
-        axes.annotate(f" {number}", (a, b), fontsize=8)
     said = "Pareto front"
     if any(one.met and not front for one, front in zip(found, best, strict=True)):
         said += "; hollow: another design is better"
@@ -68,10 +69,34 @@ def _front(axes: Axes, found: Sequence[Design], task: DesignTask) -> None:
         said += "; red: a limit is not met"
     at_least(axes, _SHARE * float(np.abs(x).max()), along_x=True)
     at_least(axes, _SHARE * float(np.abs(y).max()))
+    _number_designs(axes, x, y)
     axes.ticklabel_format(useOffset=False)
     axes.xaxis.set_major_locator(MaxNLocator(5))
     axes.set(xlabel=_label(first), ylabel=_label(second))
     axes.set_title(said, fontsize=9)
+
+
+def _number_designs(axes: Axes, x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
+    """Write the numbers of the designs at their points; those of points beside each other share one label."""
+    points = axes.transAxes.inverted().transform(axes.transData.transform(np.column_stack([x, y])))
+    groups: list[list[int]] = []
+    for i in np.lexsort((y, x)).tolist():
+        if groups and (np.abs(points[i] - points[groups[-1][-1]]) < _LABEL).all():
+            groups[-1].append(i)
+        else:
+            groups.append([i])
+    for group in groups:
+        numbers = ", ".join(str(i + 1) for i in sorted(group))
+        at_end = points[group[-1], 0] > 0.8
+        axes.annotate(
+            numbers,
+            (x[group[-1]], y[group[-1]]),
+            xytext=(-4 if at_end else 4, 4 if at_end else -4),
+            textcoords="offset points",
+            ha="right" if at_end else "left",
+            va="bottom" if at_end else "top",
+            fontsize=8,
+        )
 
 
 def _margins(axes: Axes, one: Design) -> None:

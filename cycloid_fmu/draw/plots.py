@@ -417,7 +417,7 @@ SHOWN = {"rad": ("arcsec", ARCSEC), "Pa": ("MPa", 1e-6), "m": ("µm", 1e6), "N*m
 def plot_tolerance(result: object) -> Figure:
     """Distribution of every figure of a tolerance study, with its limit and the share of drives that meet it.
 
-    Figures without a limit that are the same in all drives are not drawn; with a limit they are a point.
+    Figures without a limit that are the same in all drives are not drawn; with a limit they are one bar.
     """
     from matplotlib.ticker import MaxNLocator
 
@@ -443,9 +443,10 @@ def plot_tolerance(result: object) -> Figure:
             if not column.size:
                 axis.text(0.5, 0.5, "none in any drive", transform=axis.transAxes, ha="center")
             elif _varies(column):
-                axis.hist(column, bins="auto", histtype="stepfilled", alpha=0.5, label=label)
+                axis.hist(column, bins="auto", histtype="stepfilled", alpha=0.5, color=f"C{k}", label=label)
             else:
-                axis.plot(column[0], column.size, "o", label=label or "all drives")
+                alike = f"{label or 'all drives'}: {column[0]:.4g} in each"
+                axis.vlines(column[0], 0.0, column.size, f"C{k}", lw=3.0, label=alike)
         said = ", along the load" if signed else f", none in {infinite} drives" if infinite else ""
         axis.set(xlabel=f"{name.replace('_', ' ')}{said} [{unit}]", ylabel="drives")
         axis.yaxis.set_major_locator(MaxNLocator(integer=True))

@@ -5,6 +5,7 @@ import sys
 import numpy as np
 import pydantic
 import pytest
+from common import PAIR
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -209,3 +210,12 @@ def test_nothing_slow_is_imported_with_the_edge():
     assert (
         subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"
     )
+
+
+def test_a_value_that_rounds_to_zero_has_no_sign(command, tmp_path):
+    """Flanks as drawn have no play: a thousandth of a newton metre turns the output backwards by next to nothing."""
+    (tmp_path / "drive.toml").write_text(PAIR)
+    done = command("cycloid-fmu", "analyze", "drive.toml", "--torque", "-0.001 N*m")
+    assert done.returncode == 0
+    assert "0.0000″" in done.stdout
+    assert "-0.0000" not in done.stdout

@@ -155,5 +155,5 @@ for path in ({str(CASES / "errors-39-40.toml")!r}, {str(DATA / "supports-cases" 
         shown.append([(name, *map(float.fromhex, values)) for name, *values in map(str.split, run.stdout.splitlines())])
     assert len(shown[0]) == 16
     for (name, *private), (_, *public) in zip(*shown, strict=True):
-        # The compiler contracts and orders sums otherwise.
-        assert public == pytest.approx(private, rel=1e-9, abs=1e-9 * max(map(abs, private))), name
+        # Sums are in another order, and a balance on bearings ends within 1e-6 N of forces of some 100 N.
+        assert public == pytest.approx(private, rel=1e-8, abs=1e-9 * max(map(abs, private))), name

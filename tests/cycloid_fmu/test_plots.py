@@ -1,5 +1,7 @@
 """Plots: choice of panels and labels."""
 
+import itertools
+import math
 import types
 
 import numpy as np
@@ -10,14 +12,17 @@ import cycloid_fmu as cy
 from cycloid_fmu.draw.designs import plot_designs
 from cycloid_fmu.draw.drive_picture import close_up
 from cycloid_fmu.draw.figure import new_figure
-from cycloid_fmu.draw.plots import plot_analysis, plot_bearings
+from cycloid_fmu.draw.plots import plot_analysis, plot_bearings, plot_tolerance
 from cycloid_fmu.draw.sweeps import plot_sweep
 from cycloid_fmu.draw.verdicts import plot_duty, show_verdicts
 from cycloid_fmu.drive_value import DriveValue
-from cycloid_fmu.geometry.pair import parse_pair
+from cycloid_fmu.edge import ARCSEC
+from cycloid_fmu.geometry.pair import parse_pair, read_pair
 from cycloid_fmu.studies.design import DesignTask, on_front
 from cycloid_fmu.studies.limits import Limits, line_of, not_judged, not_judged_line, read_requirements, verdict
+from cycloid_fmu.studies.tolerance import Result, Study
 from cycloid_fmu.studies.verdicts import judge_drive, loads_of
+from cycloid_fmu.surfaces.sampling import read_tolerances
 from cycloid_fmu.surfaces.surface import surface_of_pair
 
 SIZES = dict(gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm")
@@ -137,6 +142,37 @@ def test_a_front_has_no_design_that_another_is_better_than():
     assert on_front(alike).tolist() == [False, True]
     (axis, _) = plot_designs(alike, task, "front").axes
     assert np.ptp(axis.get_xlim()) > 50 * np.ptp([line.get_xdata()[0] for line in axis.lines[1:]])
+
+
+def test_a_figure_that_is_the_same_in_all_drives_is_one_bar_of_all_drives():
+    """One that varies is a histogram, and without a limit such a figure is not drawn."""
+    tolerances = read_tolerances(EXAMPLES / "tolerances.toml")
+    study = Study(read_pair(EXAMPLES / "drive-39-40.toml"), tolerances, 64, 1, (181.0, -90.0))
+    values = np.random.default_rng(1).normal(2e-4, 2e-5, (64, len(study.columns)))
+    same = [i for i, (name, _) in enumerate(study.columns) if name in ("backlash", "interference")]
+    values[:, same] = 5e-4
+    axes = {
+        axis.get_xlabel().split(" [")[0]: axis for axis in plot_tolerance(Result(study, values, np.arange(64))).axes
+    }
+    assert "interference" not in axes
+    (bar,) = axes["backlash"].collections
+    ((bottom, top),) = bar.get_segments()
+    assert bottom == pytest.approx([5e-4 * ARCSEC, 0.0])
+    assert top == pytest.approx([5e-4 * ARCSEC, 64.0])
+    assert not axes["backlash"].patches
+    assert axes["lost motion"].patches
+
+
+def test_numbers_of_designs_do_not_overlap():
+    """Designs in bunches along a front, as a search returns them: each number is written once."""
+    backlash = np.array([1.0, 1.02, 1.04, 1.06, 1.5, 1.52, 2.4, 2.42, 2.44, 3.0]) * 1e-4
+    found = [design(b, 1e6 * (1.0 + 0.3 * math.log(b / 1e-4))) for b in backlash]
+    figure = plot_designs(found, task_for("backlash", "torsional_stiffness"), "front")
+    figure.canvas.draw()
+    labels = figure.axes[0].texts
+    assert sorted(int(n) for label in labels for n in label.get_text().split(",")) == list(range(1, 11))
+    boxes = [label.get_window_extent() for label in labels]
+    assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2))
 
 
 def test_a_margin_of_nearly_nothing_looks_like_it():

@@ -11,7 +11,10 @@ from c_host import INTERFACES, Slave, coarse, native_of
 from clockworks import compliant_drive, kinematic_drive
 from common import EXAMPLES, PAIR
 
+import cycloid_fmu as cy
 from cycloid_fmu.drive_value import DriveValue
+from cycloid_fmu.fmu.build import build_fmu
+from cycloid_fmu.fmu.run import simulate
 from cycloid_fmu.fmu.variables import LOSSLESS, Interface
 from cycloid_fmu.geometry.first_stage import FirstStage
 from cycloid_fmu.geometry.pair import parse_pair
@@ -245,3 +248,29 @@ def test_nonsense_and_rollback(reducers, host, tmp_path, name, kind):
     assert "3000 steps" in host(fmu, "random", 3000)
     if kind == "inertia":  # between two flanges the host moves those of a drive without a first stage
         assert "50 states restored" in host(fmu, "rollback", 50)
+
+
+@pytest.mark.slow(90)
+def test_on_bearings_behind_its_first_stage_the_tables_run_up_as_the_exact_model(tmp_path):
+    """Both FMUs from standstill to 6000 rpm of the sun, while the load grows from a tenth of the rated torque to all.
+
+    The transmission error of the output is that of the tables' own accuracy, as wheels add nothing to it; the torque at
+    the sun is within a thousandth of the rated load's, a tenth of what matters for an efficiency.
+    """
+    drive = cy.read_drive(EXAMPLES / "rv-20e-bearings.toml")
+    made, interface = coarse(drive.stage, 0.3 * ARCSEC), Interface("kinematic")
+    build_fmu(drive, tmp_path / "exact.fmu", interface=interface)
+    native_of(tmp_path, drive, made, interface)
+    rated, speed, time = drive.pair.rated_torque, 200.0 * math.pi, np.linspace(0.0, 0.2, 121)
+    inputs = {
+        "flange_a.phi": 0.5 * speed / 0.2 * time**2,
+        "flange_a.w": speed / 0.2 * time,
+        "flange_b.tau": -rated * (0.1 + 0.9 * time / 0.2),
+    }
+    names = ("transmission_error", "flange_a.tau", "torsional_stiffness")
+    exact, tabled = (simulate(tmp_path / name, inputs, names, time) for name in ("exact.fmu", "drive.fmu"))
+    off = {name: np.abs(exact[name] - tabled[name]).max() for name in names}
+    assert np.ptp(exact["transmission_error"]) > 20.0 * ARCSEC
+    assert off["transmission_error"] <= made.largest_error
+    assert off["flange_a.tau"] <= 1e-3 * rated / abs(drive.ratio)
+    assert off["torsional_stiffness"] <= 0.02 * exact["torsional_stiffness"].max()
