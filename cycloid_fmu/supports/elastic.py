@@ -750,7 +750,8 @@ def rub_joint(
     """
     if elastic is None:
         return
-    joint, ports = assembly.joints[number], work.ports
+    joint = assembly.joints[number]
+    ports: Any = work.ports
     rate = assembly.bodies[int(joint.outer)].rate
     c, s = math.cos(ports.moving.angle[0] * rate), math.sin(ports.moving.angle[0] * rate)
     own = displacement(assembly, joint, work)
