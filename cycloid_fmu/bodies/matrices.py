@@ -174,7 +174,7 @@ def _half_width(pair: Pair) -> float:
 def _discs(
     pair: Pair, body: DiscBody, source: str, total: Callable[[int], None], progress: Callable[[int], None]
 ) -> tuple[DiscInfluence, ...]:
-    from cycloid_fmu.bodies.disc import condensed, influence_of, loads_of
+    from cycloid_fmu.bodies.disc import influence_of, loads_of
 
     if body.matrix is not None:
         given = [read_influence(path, _half_width(pair)) for path in body.matrices]
@@ -186,7 +186,7 @@ def _discs(
             matrix = edge.cached(
                 "influence",
                 f"disc {disc} {_disc_text(pair, body)} {_makers()}",
-                functools.partial(condensed, pair, body, disc, progress),
+                functools.partial(_condense, pair, body, disc, progress),
                 write=_written,
                 read=_read,
                 most_bytes=_MOST_BYTES,
@@ -195,6 +195,18 @@ def _discs(
             raise edge.InputError(f"{source}: [bodies.disc]: {problem}") from None
         influences.append(influence_of(pair, disc, matrix, "the disc"))
     return tuple(influences)
+
+
+def _condense(pair: Pair, body: DiscBody, disc: int, progress: Callable[[int], None]) -> PortMatrix:
+    from cycloid_fmu.bodies.disc import condensed, loads_of
+
+    with edge.making(f"unit loads of elastic disc {disc}", loads_of(pair)) as advance:
+
+        def solved(loads: int) -> None:
+            advance(loads)
+            progress(loads)
+
+        return condensed(pair, body, disc, solved)
 
 
 def _disc_text(pair: Pair, body: DiscBody) -> str:

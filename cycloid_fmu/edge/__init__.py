@@ -4,7 +4,7 @@ Quantities with units, configuration whose errors name file and field, atomic wr
 shared parts of command lines are in `edge.commands`. Nothing here depends on gears, measurements or encoders.
 """
 
-from cycloid_fmu.edge.cache import cached, hash_of_code
+from cycloid_fmu.edge.cache import cached, hash_of_code, making, show_making
 from cycloid_fmu.edge.config import (
     Angle,
     Area,
@@ -146,6 +146,7 @@ __all__ = [
     "json_table",
     "json_text",
     "listed",
+    "making",
     "missing_package",
     "most_unpacked",
     "naming",
@@ -158,6 +159,7 @@ __all__ = [
     "parsed_by_others",
     "quantity",
     "read_text",
+    "show_making",
     "shown",
     "toml_table",
     "unit_columns",

@@ -10,7 +10,8 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TypeVar
 
@@ -63,6 +64,27 @@ def cached(
             temporary.write_bytes(hashlib.sha256(body).digest() + body)
         _tidy(folder, kind, most_bytes)
     return value
+
+
+class _Shown:
+    """What shows the making of values for the cache; a command line sets its own."""
+
+    bar: Callable[[str, float], AbstractContextManager[Callable[[float], None]]] | None = None
+
+
+def show_making(bar: Callable[[str, float], AbstractContextManager[Callable[[float], None]]]) -> None:
+    """Have `making` show its progress by a function such as `commands.progress`."""
+    _Shown.bar = bar
+
+
+@contextlib.contextmanager
+def making(what: str, total: float) -> Iterator[Callable[[float], None]]:
+    """Yield the function to call with the number of items just made, of `total`; a command shows them as progress."""
+    if _Shown.bar is None:
+        yield lambda items: None
+    else:
+        with _Shown.bar(what, total) as advance:
+            yield advance
 
 
 def hash_of_code(places: Iterable[Path]) -> str:

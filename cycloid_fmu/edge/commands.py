@@ -25,11 +25,12 @@ from contextlib import contextmanager, suppress
 from importlib.metadata import version
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NoReturn
 
 import typer
 import typer.core
 
+from cycloid_fmu.edge.cache import show_making
 from cycloid_fmu.edge.files import PICTURES, json_text, output_path, zip_archive
 from cycloid_fmu.edge.problems import (
     BAD_INPUT,
@@ -261,6 +262,7 @@ def run(app: typer.Typer) -> NoReturn:
         else:
             shown(message, category, *where, **more)
 
+    show_making(progress)
     setattr(warnings, "showwarning", show)  # noqa: B010 - the signature of typeshed is longer than needed
     try:
         code = app(prog_name=app.info.name, standalone_mode=False)
@@ -461,6 +463,8 @@ class Bar:
         Number of items; None while it is unknown.
     """
 
+    _drawn: ClassVar[Bar | None] = None
+
     def __init__(self, what: str, total: float | None) -> None:
         self._what, self._total, self._done = what, total, 0.0
         self._began = time.monotonic()
@@ -497,6 +501,8 @@ class Bar:
 
     def _draw(self) -> None:
         if self._rich is None:
+            if Bar._drawn is not None:  # a terminal has one at a time
+                return
             if self._total is not None and time.monotonic() - self._began < _SHORT:
                 return
             from rich.console import Console
@@ -509,6 +515,7 @@ class Bar:
             )
             self._task = self._rich.add_task(self._what, total=self._total, left="")
             self._rich.start()
+            Bar._drawn = self
         self._rich.update(
             self._task, completed=self._done, total=self._total, description=self._what, left=_left(self.left())
         )
@@ -531,6 +538,7 @@ class Bar:
     def __exit__(self, *problem: object) -> None:
         if self._rich is not None:
             self._rich.stop()
+            Bar._drawn = None
 
 
 def _left(seconds: float | None) -> str:

@@ -366,7 +366,7 @@ def _range(drive: DriveValue) -> tuple[float, float]:
     low = COLDEST if thermal is None else thermal.ambient
     high = HOTTEST if thermal is None or thermal.largest is None else thermal.largest
     stated = [] if lubricant is None else [lubricant.temperature]
-    return min(low, *stated), max(high, *stated)
+    return min([low, *stated]), max([high, *stated])
 
 
 def _thinning(lubricant: Lubricant | None, kelvin: float) -> float:
