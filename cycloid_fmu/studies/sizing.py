@@ -356,9 +356,12 @@ def _sized(wish: Wish, progress: Callable[[str], None], search_modification: boo
 
 def _reasons(wish: Wish, pair: Pair, binding: str) -> dict[str, str]:
     """Return the reason of each value of ring and discs; `binding` is that of the face width."""
-    pin = "largest dowel (ISO 8734) of" if wish.ring == "pins" else "arcs of the ring,"
+    wall, pin = (
+        PROCESSES[wish.process].wall,
+        "largest dowel (ISO 8734) of" if wish.ring == "pins" else "arcs of the ring,",
+    )
     return {
-        "pair.pin_circle_radius": f"outer radius less pin radius and a wall of {PROCESSES[wish.process].wall * 1e3:g} mm",
+        "pair.pin_circle_radius": f"outer radius less pin radius and a wall of {wall * 1e3:g} mm",
         "pair.pin_radius": f"{pin} at most {_PIN_SHARE:g} of the pins' distance",
         "pair.eccentricity": f"shortening coefficient K = {pair.shortening:.2f}, aimed at {_SHORTENING:g}",
         "pair.face_width": binding,
