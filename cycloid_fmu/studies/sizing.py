@@ -310,8 +310,7 @@ def size(wish: Wish, progress: Callable[[str], None] = lambda step: None) -> Siz
 
 
 def _sized(wish: Wish, progress: Callable[[str], None], search_modification: bool = True) -> Sizing:
-    process, gear = PROCESSES[wish.process], MATERIALS[wish.material]
-    mesh = _mesh(wish, process)
+    process, mesh = PROCESSES[wish.process], _mesh(wish, PROCESSES[wish.process])
     tolerances = process_tolerances(wish, mesh)
     width = min(max(_LEAST_WIDTH, process.wall, 0.5 * _LARGEST_WIDTH * wish.outer_diameter / wish.discs), _widest(wish))
     pair = Pair(
@@ -337,34 +336,7 @@ def _sized(wish: Wish, progress: Callable[[str], None], search_modification: boo
     limit = pair.largest_pressure
     assert limit is not None
     pair, binding = _wide_enough(pair, wish, process, limit.pressure, progress)
-    reasons = {
-        "pair.pin_circle_radius": f"outer radius less pin radius and a wall of {process.wall * 1e3:g} mm",
-        "pair.pin_radius": f"largest dowel (ISO 8734) of at most {_PIN_SHARE:g} of the pins' distance",
-        "pair.eccentricity": f"shortening coefficient K = {pair.shortening:.2f}, aimed at {_SHORTENING:g}",
-        "pair.face_width": binding,
-        "pair.rated_torque": "the wish",
-        "pair.discs": "opposite each other, so balanced" if wish.discs > 1 else "unbalanced: one disc",
-        "modification.isometric": f"with offset: least backlash at which {_YIELD:.0%} of drives by {wish.process} turn",
-        "material.gear": gear.source.split(";")[0],
-        "material.pin": MATERIALS[wish.material_of_pins].source.split(";")[0],
-        "material.output_pin": "for their strength",
-        "material.ring": "for its strength",
-    }
-    notes = [
-        "A first drive: sizes by rules, modification and face width by the search of `design`"
-        + ("." if wish.bodies else "; its bodies are rigid, so the real drive is softer."),
-    ]
-    if wish.ring == "conjugate":
-        reasons["pair.pin_radius"] = f"arcs of the ring, at most {_PIN_SHARE:g} of their distance in diameter"
-        notes.append(
-            "Ring without pins: in the model its arcs are fixed pins of the discs' material; between them it must stay "
-            "outside of the discs' teeth."
-        )
-    if gear.creeps:
-        notes.append(
-            f"{wish.material} creeps: under lasting load modulus and strength fall to a half or less, which is not "
-            f"computed; keep below {gear.service_temperature - 273.15:.0f} degC."
-        )
+    reasons, notes = _reasons(wish, pair, binding), _notes(wish)
     if wish.output == "gear":
         progress("output and bearings")
         output, pair = _held(wish, pair, process, limit.pressure)
@@ -380,6 +352,47 @@ def _sized(wish: Wish, progress: Callable[[str], None], search_modification: boo
         return Sizing(wish, pair, tolerances, reasons, tuple(notes), bodies, output.contact_stiffness)
     notes.append('output = "ring": bearings and output are not modelled, so neither sized here; no losses.')
     return Sizing(wish, pair, tolerances, reasons, tuple(notes))
+
+
+def _reasons(wish: Wish, pair: Pair, binding: str) -> dict[str, str]:
+    """Return the reason of each value of ring and discs; `binding` is that of the face width."""
+    wall, pin = (
+        PROCESSES[wish.process].wall,
+        "largest dowel (ISO 8734) of" if wish.ring == "pins" else "arcs of the ring,",
+    )
+    return {
+        "pair.pin_circle_radius": f"outer radius less pin radius and a wall of {wall * 1e3:g} mm",
+        "pair.pin_radius": f"{pin} at most {_PIN_SHARE:g} of the pins' distance",
+        "pair.eccentricity": f"shortening coefficient K = {pair.shortening:.2f}, aimed at {_SHORTENING:g}",
+        "pair.face_width": binding,
+        "pair.rated_torque": "the wish",
+        "pair.discs": "opposite each other, so balanced" if wish.discs > 1 else "unbalanced: one disc",
+        "modification.isometric": f"with offset: least backlash at which {_YIELD:.0%} of drives by {wish.process} turn",
+        "material.gear": MATERIALS[wish.material].source.split(";")[0],
+        "material.pin": MATERIALS[wish.material_of_pins].source.split(";")[0],
+        "material.output_pin": "for their strength",
+        "material.ring": "for its strength",
+    }
+
+
+def _notes(wish: Wish) -> list[str]:
+    """Return what is assumed of ring and discs, one sentence each."""
+    gear = MATERIALS[wish.material]
+    notes = [
+        "A first drive: sizes by rules, modification and face width by the search of `design`"
+        + ("." if wish.bodies else "; its bodies are rigid, so the real drive is softer."),
+    ]
+    if wish.ring == "conjugate":
+        notes.append(
+            "Ring without pins: in the model its arcs are fixed pins of the discs' material; between them it must stay "
+            "outside of the discs' teeth."
+        )
+    if gear.creeps:
+        notes.append(
+            f"{wish.material} creeps: under lasting load modulus and strength fall to a half or less, which is not "
+            f"computed; keep below {gear.service_temperature - 273.15:.0f} degC."
+        )
+    return notes
 
 
 def _modified(pair: Pair, tolerances: Tolerances, process: Process, progress: Callable[[str], None]) -> Pair:
