@@ -171,7 +171,7 @@ def test_more_options_are_in_the_help(command):
 
 
 def test_keys_of_files_lead_to_the_right_one(command, tmp_path):
-    """A part of a limit's name misspelt, and a key of one material at the table of both."""
+    """A part of a limit's name misspelt, and a key of one material at the table of all."""
     (tmp_path / "p.toml").write_text(PAIR + '[material]\nyoungs_modulus = "70 GPa"\n')
     (tmp_path / "pair.toml").write_text(PAIR)
     limits = 'format = "cycloid-requirements/1"\n[limits]\nstifness = "100 N*m/arcmin"\n'
@@ -179,7 +179,8 @@ def test_keys_of_files_lead_to_the_right_one(command, tmp_path):
     for words, said in (
         (
             ["p.toml"],
-            "p.toml: [material] youngs_modulus is not a known key; it belongs to [material.gear] or [material.pin].\n",
+            "p.toml: [material] youngs_modulus is not a known key; it belongs to [material.gear], [material.pin], "
+            "[material.output_pin] or [material.ring].\n",
         ),
         (
             ["pair.toml", "--limits", "limits.toml"],
