@@ -82,7 +82,8 @@ def new(
     numbers = {"figures": [each.numbers() for each in figures], "stresses": [each.numbers() for each in stresses]}
     if folder is not None:
         write_sizing(drive, folder, numbers)
-        report = report_of(Drive(drive.pair), "drive.toml", drive.text, figures, stresses)
+        motion = Drive(drive.pair).motion(drive.pair.rated_torque, 0.0)
+        report = report_of(drive.pair, motion, "drive.toml", drive.text, figures, stresses)
         write_design_report(report, folder / "report.html")
     if as_json:
         commands.print_json({"pair": drive.text, "tolerances": drive.tolerances, **numbers})

@@ -49,8 +49,9 @@ def report(
             turn = np.linspace(0.0, 2.0 * np.pi, ANGLES, endpoint=False)
             judged = verdicts.judge_drive(drive, asked, None, turn, workers=os.cpu_count() or 1)
         progress("drawing")
-        found = design_report.report_of(drive, pair_file.name, text, figures, stresses, judged)
-    design_report.write_design_report(found, output)
+        motion = drive.motion(pair.rated_torque, 0.0)
+        report_ = design_report.report_of(pair, motion, pair_file.name, text, figures, stresses, judged)
+    design_report.write_design_report(report_, output)
     typer.echo(f"{output}: {len(figures)} figures, {len(stresses)} stresses")
     if judged is not None:
         leave(judged.verdicts, judged.not_judged)

@@ -9,8 +9,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import numpy as np
-
 from cycloid_fmu import __version__, edge
 from cycloid_fmu.draw.pages import HEADING, HTML_HEAD, MONOSPACED, made_now, text_pages
 from cycloid_fmu.geometry.pair import Pair
@@ -20,7 +18,6 @@ from cycloid_fmu.studies.strength import HEAD as STRESS_HEAD
 from cycloid_fmu.studies.strength import Stress
 
 if TYPE_CHECKING:
-    from cycloid_fmu.drive import Drive
     from cycloid_fmu.motion import Motion
     from cycloid_fmu.studies.verdicts import Judged
 
@@ -82,7 +79,8 @@ def facts_of(pair: Pair) -> str:
 
 
 def report_of(
-    drive: Drive,
+    pair: Pair,
+    motion: Motion,
     source: str,
     text: str,
     figures: Sequence[Figure],
@@ -93,8 +91,8 @@ def report_of(
 
     Parameters
     ----------
-    drive
-        The drive; its pair must state the rated torque.
+    pair, motion
+        The drive's pair, and the drive at its rated torque and a crank angle of 0, of `Drive.motion`.
     source, text
         Name and text of its pair file; comments at its head are what is assumed.
     figures, stresses
@@ -102,7 +100,6 @@ def report_of(
     judged
         Verdicts on limits, if there are any.
     """
-    pair = drive.pair
     tables = [
         Table("Figures at rated torque", FIGURES_HEAD, [each.row() for each in figures]),
         Table("Nominal stresses", STRESS_HEAD, [each.row() for each in stresses]),
@@ -119,7 +116,6 @@ def report_of(
     assumed = comments_of(text)
     if pair.bodies is None and not any("rigid" in line for line in assumed):
         assumed.append("Bodies are rigid, as the file states no [bodies]; the real drive is softer.")
-    motion = drive.motion([pair.rated_load(source)], np.array([0.0]))
     lists = {"Assumed": assumed, "Not judged": [*missing, NOT_COMPUTED]}
     return DesignReport("Design report", f"{source}: {facts_of(pair)}", motion, tables, lists, text)
 

@@ -22,7 +22,7 @@ PAIR = make_pair(rated_torque="181 N*m").replace(
 @pytest.fixture(scope="module")
 def report():
     text = "# Assumed <here>.\n" + PAIR.text
-    return report_of(cy.Drive(PAIR), "drive.toml", text, *figures_of(PAIR))
+    return report_of(PAIR, cy.Drive(PAIR).motion("181 N*m", 0.0), "drive.toml", text, *figures_of(PAIR))
 
 
 def test_comments_at_the_head_are_what_is_assumed():
