@@ -60,8 +60,9 @@ INTRODUCTION = f"""# FMU variables
 The variables of an FMU of `cycloid-fmu build` and their causality in each [interface](../fmu.md), – where the
 interface lacks one. *Inertia inside* is the compliant interface with `--output-inertia`, *both inside* with
 `--crank-inertia` as well, *rotor inside* with `--crank-inertia` alone. `support` is there only with
-`--support-flange`. FMI 2.0 and 3.0 have the same names and value references. In the FMU of an RV reducer `flange_a` is the sun. Parameters that a
-[native FMU](../native.md) has in its tables are *constants* there: they can be read but not set.
+`--support-flange`. FMI 2.0 and 3.0 have the same names and value references. In the FMU of an RV reducer `flange_a` is
+the sun. Parameters that a [native FMU](../native.md) has in its tables are *constants* there: they can be read but not
+set.
 
 Values are in the first unit, those in brackets are display units. Ranges and starts are those of `examples/{EXAMPLE}`;
 the model description in every FMU has its own. Signs of angles, torques and
