@@ -177,8 +177,7 @@ def lines(every):
 
 def draw(every, path):
     """Rank histograms of the groups, and below them the distributions of each error minus the uniform one."""
-    from cycloid_fmu.draw.figure import new_figure
-    from cycloid_fmu.draw.plots import save
+    from cycloid_fmu.draw.figure import new_figure, save
 
     found = by_name(every)
     figure, axes = new_figure(4, 3)
