@@ -1,4 +1,4 @@
-"""Rooms that take a drive with elastic bodies: friction, heat, files and studies."""
+"""Rooms that take a drive with elastic bodies: friction, heat and files."""
 
 import numpy as np
 import pytest
@@ -197,21 +197,3 @@ def test_stiffness_of_the_example_is_the_theory_page_s():
     assert [row[3] for row in rows[: len(each)]] == expected
     assert [row[4] for row in rows[: len(each) - 1]] == [f"{s * catalogue:.1%}".replace("%", " %") for s in each[:-1]]
     assert 0.45 < 1.0 - each[-2] * catalogue < 0.5  # about half, and without bodies 28 %
-
-
-# --- studies ---
-
-
-def test_a_sweep_and_a_verdict_are_analyses_of_the_same_drives(tmp_path):
-    """Of a drive with 0.1 mm more pin radius, and of its limits."""
-    pair = SOFT_CRANKS.replace(pin_radius="4.1 mm")
-    swept = cy.Drive(SOFT_CRANKS).sweep({"pin_radius": ["4 mm", "4.1 mm"]}, "20 N*m", angles=6)
-    expected = cy.Drive(pair).analyze("20 N*m", angles=6)
-    largest = float(expected.max_contact_pressure.max())
-    assert float(swept.max_contact_pressure.max()) == pytest.approx(
-        max(largest, float(cy.Drive(SOFT_CRANKS).analyze("20 N*m", angles=6).max_contact_pressure.max())), rel=1e-9
-    )
-    limits = tmp_path / "limits.toml"
-    limits.write_text('format = "cycloid-requirements/1"\n[limits]\nmax_contact_pressure = "900 MPa"\n')
-    (verdict,) = cy.Drive(pair).judge(limits, "20 N*m", angles=6).verdicts
-    assert verdict.value == pytest.approx(largest, rel=1e-9)
