@@ -49,7 +49,7 @@ _NEAR = 1.0  # rad: a solution farther away is no useful start
 _CRANK_STEP = 1e-5  # rad: crank step for the derivative of an end of the play
 _FREE_ENERGY = 1e-7  # J: largest stored energy of gears that are free in the plays around them
 
-# Indices of `numbers` of a mesh: deviation of the last solution, whether rows are not solved yet.
+# Indices of `numbers` of a mesh: transmission error of the last solution, whether rows are not solved yet.
 _X, _COLD, _PLAY_COLD = range(3)
 # Those of a drive on its bearings: crank angles of its three solutions, and the tangent in use.
 _LOW, _HIGH, _SIDE, _SHARE_OF, _TANGENT = 1, 2, 3, 4, 5
@@ -135,12 +135,12 @@ def _solve_mesh(mesh: _Mesh, operation: int, crank_angle: float, a: float, b: fl
     operation, crank_angle
         One of the `SOLVE_` constants, and the crank angle, rad.
     a, b
-        touch: an end of the play (rad) and its side (±1); load: the torque, N·m; hold and press: a deviation (rad) and
-        a compliance in series (rad/(N·m)); play, and turn and share, at the last solution: none.
+        touch: an end of the play (rad) and its side (±1); load: the torque, N·m; hold and press: a transmission error
+        (rad) and a compliance in series (rad/(N·m)); play, and turn and share, at the last solution: none.
     result
-        play: both ends, rad. touch: dφ_b/dθ. load, hold and press: deviation (rad), stiffness (N·m/rad), torque (N·m);
-        and for press energy (J) and its derivatives by θ and φ_b (N·m). turn: the crank's torque (N·m) and dφ_b/dθ.
-        share: pins in contact, and the largest pressure (Pa).
+        play: both ends, rad. touch: dφ_b/dθ. load, hold and press: transmission error (rad), stiffness (N·m/rad),
+        torque (N·m); and for press energy (J) and its derivatives by θ and φ_b (N·m). turn: the crank's torque (N·m)
+        and dφ_b/dθ. share: pins in contact, and the largest pressure (Pa).
     """
     drive, rows, numbers = mesh.drive, mesh.rows, mesh.numbers
     x, cold = numbers[_X], numbers[_COLD] != 0.0

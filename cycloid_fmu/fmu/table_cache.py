@@ -20,7 +20,7 @@ _MAKERS = (
     *("fmu/table_nodes.py", "fmu/tables.py"),
 )
 _MOST_BYTES = 400_000_000  # of all tables in the cache
-_SIDE = ("load", "deviation", "compliance", "pressure_load", "contact_count", "pressure")
+_SIDE = ("load", "transmission_error", "compliance", "pressure_load", "contact_count", "pressure")
 _SCALARS = ("ratio", "period", "allowed", "largest_error")
 
 
@@ -57,7 +57,9 @@ def _written(drive_tables: Tables) -> bytes:
         arrays[f"{name}_far_load"] = side.far[0]
         for field in _SIDE:
             arrays[f"{name}_{field}"] = getattr(side, field)
-        for i, (field, step) in enumerate(zip(("deviation", "compliance", "pressure"), side.steps, strict=True)):
+        for i, (field, step) in enumerate(
+            zip(("transmission_error", "compliance", "pressure"), side.steps, strict=True)
+        ):
             whole = np.round(arrays[f"{name}_{field}"] / step[:, None])
             arrays[f"{name}_{field}"] = np.diff(whole, axis=1, prepend=0.0).astype(np.int32)
             arrays[f"{name}_step_{i}"] = step
@@ -73,7 +75,7 @@ def _read(data: bytes) -> Tables:
         for name in ("positive", "negative"):
             steps = tuple(file[f"{name}_step_{i}"] for i in range(3))
             fields = {field: file[f"{name}_{field}"] for field in _SIDE}
-            for field, step in zip(("deviation", "compliance", "pressure"), steps, strict=True):
+            for field, step in zip(("transmission_error", "compliance", "pressure"), steps, strict=True):
                 fields[field] = np.cumsum(fields[field], axis=1) * step[:, None]
             far = float(file[f"{name}_far_load"]), *file[f"{name}_far"]
             sides.append(Side(**fields, steps=steps, far=far))

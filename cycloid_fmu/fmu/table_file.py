@@ -1,9 +1,9 @@
 """Data shared by the C code of a native FMU and this package: the file of tables, and the numbers of `constants.h`.
 
 The file (`resource_file`): interface and variables; ratio, period, first stage, torques; and for each direction, crank
-angle and load the deviation, its derivative with respect to the load, the square of the largest pressure (each in whole
-steps of 16 bits) and the contact count. The C code uses them in place, after summing the deviation's differences from
-angle to angle.
+angle and load the transmission error, its derivative with respect to the load, the square of the largest pressure (each
+in whole steps of 16 bits) and the contact count. The C code uses them in place, after summing the transmission error's
+differences from angle to angle.
 """
 
 from __future__ import annotations
@@ -159,13 +159,13 @@ def table_body(
     body += struct.pack("<7I", tables.rest_torque.size, tables.positive.pressure.shape[1], rest.size, *counts)
     body += padding(body)
     for side in sides:
-        far, far_deviation, far_compliance = side.far
+        far, far_transmission_error, far_compliance = side.far
         steps = [np.append(s, s[-1]) for s in side.steps[:2]]
-        deviation = np.vstack([side.deviation, far_deviation])
-        base = np.round(0.5 * (deviation.min(axis=1) + deviation.max(axis=1)) / steps[0]) * steps[0]
+        transmission_error = np.vstack([side.transmission_error, far_transmission_error])
+        base = np.round(0.5 * (transmission_error.min(axis=1) + transmission_error.max(axis=1)) / steps[0]) * steps[0]
         for numbers in (np.append(side.load, far), side.pressure_load, base, *steps, side.steps[2]):
             body += numbers.astype("<f8").tobytes()
-        whole = np.round((deviation - base[:, None]) / steps[0][:, None])
+        whole = np.round((transmission_error - base[:, None]) / steps[0][:, None])
         if not np.abs(whole).max() < 32768.0:
             raise ValueError("the accuracy is finer than a file of tables can store")
         # Differences from angle to angle compress to half the size of the numbers themselves.

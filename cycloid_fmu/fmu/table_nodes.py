@@ -27,7 +27,7 @@ class Solved(NamedTuple):
     No other output depends on contact count and pressure: they stay at the crank angles that were solved first.
     """
 
-    deviation: Array32
+    transmission_error: Array32
     compliance: Array32
     pressure: Array32
     contact_count: Array32
@@ -42,14 +42,14 @@ class Rest(NamedTuple):
         Ends of the play, rad.
     pressed
         Whether there is no play.
-    deviation, stiffness, pressure, contact_count, crank_torque
+    transmission_error, stiffness, pressure, contact_count, crank_torque
         Values where there is no play; 0 elsewhere.
     """
 
     low: Array
     high: Array
     pressed: NDArray[np.bool_]
-    deviation: Array
+    transmission_error: Array
     stiffness: Array
     pressure: Array
     contact_count: Array
@@ -67,7 +67,7 @@ def at_rest(drive: DriveValue, angles: Array, workers: int = 1) -> Rest:
         problem, crank_torque = rigid_problem(drive, slices), np.empty(here.size)
         contact.sweep_crank_side(problem, angles[here], swept.transmission_error[0], crank_torque, np.empty(here.size))
         rest.crank_torque[here] = crank_torque
-        rest.deviation[here], rest.stiffness[here] = swept.transmission_error[0], swept.torsional_stiffness[0]
+        rest.transmission_error[here], rest.stiffness[here] = swept.transmission_error[0], swept.torsional_stiffness[0]
         rest.pressure[here], rest.contact_count[here] = swept.max_contact_pressure[0], swept.contact_count[0]
     return rest
 
@@ -134,7 +134,7 @@ def solved_at(
             workers=workers,
             progress=progress,
         )
-        nodes.deviation[some] = direction * swept.transmission_error[0]
+        nodes.transmission_error[some] = direction * swept.transmission_error[0]
         nodes.compliance[some] = 1.0 / swept.torsional_stiffness[0]
         nodes.pressure[some] = np.square(swept.max_contact_pressure[0])
         nodes.contact_count[some] = np.minimum(swept.contact_count[0], 255)
@@ -143,8 +143,8 @@ def solved_at(
         none = np.flatnonzero(load == 0)
         here = angle[none]
         pressed = rest.pressed[here]
-        nodes.deviation[none] = direction * np.where(
-            pressed, rest.deviation[here], (rest.high if direction > 0.0 else rest.low)[here]
+        nodes.transmission_error[none] = direction * np.where(
+            pressed, rest.transmission_error[here], (rest.high if direction > 0.0 else rest.low)[here]
         )
         nodes.compliance[none[pressed]] = 1.0 / rest.stiffness[here[pressed]]
         nodes.pressure[none], nodes.contact_count[none] = np.square(rest.pressure[here]), rest.contact_count[here]

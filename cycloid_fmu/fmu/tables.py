@@ -1,8 +1,9 @@
 """Tables of the exact contact model, for FMUs that run without it.
 
-Everything follows from one function of crank angle θ and torque T: the deviation x(θ, T) of the output at rest under
-load. On each side of zero torque it is, over t = |T|, the cubic Hermite interpolation of deviations and compliances at
-chosen torques, and over θ a periodic cubic B-spline. With the energy at zero torque V_0(θ), 0 where there is play,
+Everything follows from one function of crank angle θ and torque T: the transmission error x(θ, T) of the output at rest
+under load. On each side of zero torque it is, over t = |T|, the cubic Hermite interpolation of transmission errors and
+compliances at chosen torques, and over θ a periodic cubic B-spline. With the energy at zero torque V_0(θ), 0 where
+there is play,
 
     G(θ, T) = ∫_0^T x dT - V_0(θ),    φ_b - φ_a/ratio = ∂G/∂T,    τ_a = -T/ratio - ∂G/∂θ,
 
@@ -39,7 +40,7 @@ from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.supports.transmission import play_loads
 from cycloid_fmu.surfaces.surface import ErrorSurface, alike
 
-ACCURACY = 0.02 / 3600 * math.pi / 180  # rad: allowed error of the deviation
+ACCURACY = 0.02 / 3600 * math.pi / 180  # rad: allowed error of the transmission error
 RANGE_SHARE = 1e-3  # of the transmission error's range over the crank angle, where that is more
 # Where a pin comes into contact, stiffness and speed nearly jump, which no grid can follow: the allowed error of the
 # stiffness is for most states, that of the speed for the rms over all.
@@ -47,7 +48,7 @@ STIFFNESS_SHARE = 0.02  # allowed relative error of the stiffness in `MOST_STATE
 SPEED_SHARE = 0.2  # allowed rms error of the output speed's ripple, of its own rms
 MOST_STATES = 0.95
 STATED_FROM = 0.01  # of the largest torque: above it these hold and are stated
-_MOST_VALUES = 7_000_000  # deviations and compliances up to which stiffness and speed are refined: 14 MB
+_MOST_VALUES = 7_000_000  # transmission errors and compliances up to which stiffness and speed are refined: 14 MB
 _SAMPLES = (16, 128, 1024)  # crank angles per mesh pitch: fewest, most of any drive, most of a drive of few pitches
 _MOST_ANGLES = 200_000  # in total, with more than 128 per mesh pitch
 _SHARE = 0.7  # of the allowed error, at most in the middle of a cell between loads
@@ -55,16 +56,17 @@ _NEIGHBOURS, _REACHES = 5, (1.0, 0.5, 0.25)  # places drawn around each of the w
 _BLAMED = 2 / 3  # of the errors of stiffness and speed: the cells that cause this share are halved
 _WORST = 200  # probes that decide whether loads or crank angles are too few
 _DIRECTIONS = (1.0, -1.0)
-# Interpolation between crank angles is accurate enough where the fourth differences of the deviation are within this
-# share of the allowed error, and those of the compliance within this one of it: then 999 of 1000 deviations are within
-# 0.2 of the allowed error and compliances within 0.004. With 2 µm on every pin and tooth 12 of 44 million are solved.
+# Interpolation between crank angles is accurate enough where the fourth differences of the transmission error are
+# within this share of the allowed error, and those of the compliance within this one of it: then 999 of 1000
+# transmission errors are within 0.2 of the allowed error and compliances within 0.004. With 2 µm on every pin and tooth
+# 12 of 44 million are solved.
 _MIDWAY, _MIDWAY_COMPLIANCE = 0.25, 0.01
 _LIKE = 512  # probes of similar torque, solved in a row
 _SPREAD = 1000  # random crank angles at which the loads are chosen
 _TOLD_LOADS = 24  # at most
 _PRESSURE_STEP = 2.5e-3  # of the largest pressure's square
 _FAR = (4.0, 2.0, 1.2)  # times the last load: the first at which contacts can balance it ends the cell beyond
-_STEPS = 16  # quantisation steps of the deviation, and of a compliance's part in it, in the allowed error
+_STEPS = 16  # quantisation steps of the transmission error, and of a compliance's part in it, in the allowed error
 _COMPLIANCE_SHARE = 0.005  # largest step of the stored compliance, of its mean
 _MOST_STEPS = 65000  # of any channel, in 16 bits
 PROBES = 20000  # random crank angles and torques at which the finished tables are compared with the model
@@ -78,9 +80,9 @@ class Side:
     ----------
     load
         |T| at the nodes, ascending from 0, shape (loads,), N·m.
-    deviation, compliance
-        Spline coefficients over the crank angle of the deviation times the direction (rad) and of its derivative
-        with respect to the load (rad/(N·m)), shape (loads, angles).
+    transmission_error, compliance
+        Spline coefficients over the crank angle of the transmission error times the direction (rad) and of its
+        derivative with respect to the load (rad/(N·m)), shape (loads, angles).
     pressure_load
         Some of the loads, from the first to the last, shape (loads of the pressure,), N·m.
     contact_count
@@ -89,14 +91,14 @@ class Side:
         Spline coefficients of the square of the largest contact pressure, at the same points and of the same shape,
         Pa²; the square is nearly linear in the load.
     steps
-        Quantisation steps of deviation, compliance and pressure of each load.
+        Quantisation steps of transmission error, compliance and pressure of each load.
     far
-        A load beyond the last one, N·m, and coefficients of the deviation and of the compliance at it, each of shape
-        (angles,). The cell up to it has no stated accuracy; beyond it the tangent continues.
+        A load beyond the last one, N·m, and coefficients of the transmission error and of the compliance at it, each of
+        shape (angles,). The cell up to it has no stated accuracy; beyond it the tangent continues.
     """
 
     load: Array
-    deviation: Array
+    transmission_error: Array
     compliance: Array
     pressure_load: Array
     contact_count: NDArray[np.uint8]
@@ -110,19 +112,19 @@ class States(NamedTuple):
 
     Attributes
     ----------
-    deviation
+    transmission_error
         Deviation of the output from its ideal angle, rad.
     stiffness
         N·m/rad.
     rate
-        Derivative of the deviation with respect to the crank angle at constant torque, dφ_b/dθ - 1/ratio.
+        Derivative of the transmission error with respect to the crank angle at constant torque, dφ_b/dθ - 1/ratio.
     crank_torque
         N·m.
     pressure
         Largest contact pressure, Pa.
     """
 
-    deviation: Array
+    transmission_error: Array
     stiffness: Array
     rate: Array
     crank_torque: Array
@@ -163,10 +165,10 @@ class Tables:
     rest_torque
         Spline coefficients of the crank's torque at zero load, due to interference, shape (angles,), N·m.
     allowed
-        Allowed error of the deviation, rad.
+        Allowed error of the transmission error, rad.
     largest_error
-        Largest error of the deviation at random crank angles and torques, and increasingly close to the largest errors,
-        rad.
+        Largest error of the transmission error at random crank angles and torques, and increasingly close to the
+        largest errors, rad.
     errors
         Errors of the other quantities, at points that were not used for refinement.
     """
@@ -223,30 +225,33 @@ def _evenly_held(surface: ErrorSurface) -> bool:
 def _hermite(
     share: float | Array,
     width: float | Array,
-    deviation: Sequence[Array] | Array | Array32,
+    transmission_error: Sequence[Array] | Array | Array32,
     compliance: Sequence[Array] | Array | Array32,
 ) -> Array:
     """Cubic Hermite interpolation between values and slopes at the ends of a cell, at a share (0 to 1) of its width."""
     s, h = share, width
-    value = (1.0 + 2.0 * s) * (1.0 - s) ** 2 * deviation[0] + (3.0 - 2.0 * s) * s * s * deviation[1]
+    value = (1.0 + 2.0 * s) * (1.0 - s) ** 2 * transmission_error[0] + (3.0 - 2.0 * s) * s * s * transmission_error[1]
     return np.asarray(value + h * s * (1.0 - s) ** 2 * compliance[0] + h * s * s * (s - 1.0) * compliance[1])
 
 
 def _slope(
-    share: float | Array, width: float | Array, deviation: Array | Array32, compliance: Array | Array32
+    share: float | Array, width: float | Array, transmission_error: Array | Array32, compliance: Array | Array32
 ) -> Array:
     """Derivative of the Hermite interpolation with respect to the load."""
     u, v = share, 1.0 - share
     slopes = v * (1.0 - 3.0 * u) * compliance[0] + u * (3.0 * u - 2.0) * compliance[1]
-    return np.asarray(6.0 * u * v * (deviation[1] - deviation[0]) / width + slopes)
+    return np.asarray(6.0 * u * v * (transmission_error[1] - transmission_error[0]) / width + slopes)
 
 
 def _integral(
-    share: float | Array, width: float | Array, deviation: Sequence[Array] | Array, compliance: Sequence[Array] | Array
+    share: float | Array,
+    width: float | Array,
+    transmission_error: Sequence[Array] | Array,
+    compliance: Sequence[Array] | Array,
 ) -> Array:
     """Integral of the Hermite interpolation over the load, from the start of a cell to a share of its width."""
     s, h = share, width
-    value = (s - s**3 + 0.5 * s**4) * deviation[0] + (s**3 - 0.5 * s**4) * deviation[1]
+    value = (s - s**3 + 0.5 * s**4) * transmission_error[0] + (s**3 - 0.5 * s**4) * transmission_error[1]
     slopes = (0.5 * s**2 - 2.0 / 3.0 * s**3 + 0.25 * s**4) * compliance[0] + (0.25 * s**4 - s**3 / 3.0) * compliance[1]
     return np.asarray(h * (value + h * slopes))
 
@@ -263,7 +268,7 @@ def _chosen_loads(
 
     def solve_at(loads: Sequence[float], following: float | None = None) -> None:
         nodes = table_nodes.solved(drive, direction, np.array(loads), angles, rest, following=following)
-        known.update(zip(loads, zip(nodes.deviation, nodes.compliance, strict=True), strict=True))
+        known.update(zip(loads, zip(nodes.transmission_error, nodes.compliance, strict=True), strict=True))
 
     def halved(cells: list[tuple[float, float]]) -> list[tuple[float, float, float, float]]:
         """Return the error in the middle of each cell, negative so that the largest is the first, and the cell."""
@@ -308,7 +313,8 @@ def _side(loads: Array, exact: Solved, far: tuple[float, Solved], step: float) -
     """Convert nodes to coefficients that are monotone in the load for every crank angle, rounded as stored.
 
     Where the coefficients satisfy Fritsch and Carlson's condition (SIAM J. Numer. Anal. 17 (1980) 238), every spline
-    between them does, because a B-spline's weights are positive. Both directions have the same step of the deviation.
+    between them does, because a B-spline's weights are positive. Both directions have the same step of the transmission
+    error.
     """
     some = np.unique(np.round(np.linspace(0, loads.size - 1, _TOLD_LOADS)).astype(int))
     square, count = exact.pressure[some], exact.contact_count[some]
@@ -323,22 +329,26 @@ def _side(loads: Array, exact: Solved, far: tuple[float, Solved], step: float) -
         _PRESSURE_STEP * np.maximum(square.max(axis=1), 1.0),
     )
     p_fine = steps[2][:, None]
-    x, c = _coefficients(exact.deviation), _coefficients(exact.compliance)
+    x, c = _coefficients(exact.transmission_error), _coefficients(exact.compliance)
     _make_monotone(loads, x, c, steps)
     p = np.maximum(np.round(_coefficients(square) / p_fine), 0.0) * p_fine
     return Side(loads, x, c, loads[some], count.astype(np.uint8), p, steps, _far_end(loads[-1], x[-1], c[-1], *far))
 
 
-def _make_monotone(loads: Array, deviation: Array, compliance: Array, steps: Sequence[Array]) -> None:
-    """Round coefficients of deviation and compliance to their steps, in place, such that they rise with the load."""
+def _make_monotone(loads: Array, transmission_error: Array, compliance: Array, steps: Sequence[Array]) -> None:
+    """Round coefficients of transmission error and compliance to their steps, in place, rising with the load."""
     # Row by row, which the processor's cache holds: 5 times as fast as all at once.
     for k, fine in enumerate(steps[0]):
-        row = deviation[k]
+        row = transmission_error[k]
         np.multiply(np.round(row / fine, out=row), fine, out=row)
-        np.maximum(deviation[max(k - 1, 0)], row, out=row)
+        np.maximum(transmission_error[max(k - 1, 0)], row, out=row)
     before: ArrayLike = math.inf
     for k, fine in enumerate(steps[1]):
-        slope = (deviation[k + 1] - deviation[k]) / (loads[k + 1] - loads[k]) if k + 1 < loads.size else before
+        slope = (
+            (transmission_error[k + 1] - transmission_error[k]) / (loads[k + 1] - loads[k])
+            if k + 1 < loads.size
+            else before
+        )
         row = compliance[k]
         np.minimum(np.maximum(row, 0.0, out=row), 3.0 * np.minimum(before, slope), out=row)
         np.multiply(np.minimum(np.floor(row / fine, out=row), _MOST_STEPS, out=row), fine, out=row)
@@ -346,14 +356,14 @@ def _make_monotone(loads: Array, deviation: Array, compliance: Array, steps: Seq
 
 
 def _far_end(
-    last: float, deviation: Array, compliance: Array, load: float, exact: Solved
+    last: float, transmission_error: Array, compliance: Array, load: float, exact: Solved
 ) -> tuple[float, Array, Array]:
     """Return the end of the cell beyond the last load, with one tangent for all crank angles.
 
     A tangent that changes with the angle would cause a crank torque that grows with the square of the excess.
     """
-    x = np.maximum(_coefficients(exact.deviation[0]), deviation + compliance * (load - last) / 3.0)
-    c = min(float(exact.compliance.mean()), 3.0 * float((x - deviation).min()) / (load - last))
+    x = np.maximum(_coefficients(exact.transmission_error[0]), transmission_error + compliance * (load - last) / 3.0)
+    c = min(float(exact.compliance.mean()), 3.0 * float((x - transmission_error).min()) / (load - last))
     return load, x, np.full(x.shape, max(c, 0.0))
 
 
@@ -377,8 +387,8 @@ def compute(
     drive
         The drive.
     accuracy
-        Allowed error of the deviation, rad; or `RANGE_SHARE` of its range over the crank angle, if that is more. The
-        allowed errors of stiffness and speed, `STIFFNESS_SHARE` and `SPEED_SHARE`, are in proportion.
+        Allowed error of the transmission error, rad; or `RANGE_SHARE` of its range over the crank angle, if that is
+        more. The allowed errors of stiffness and speed, `STIFFNESS_SHARE` and `SPEED_SHARE`, are in proportion.
     largest_load
         Largest |torque|, N·m; None for 2.5 times the rated torque.
     workers
@@ -407,13 +417,13 @@ def _pitch(pair: Pair) -> float:
 
 
 def _first_loads(drive: DriveValue, accuracy: float, largest: float, workers: int) -> tuple[float, list[Array]]:
-    """Return the allowed error of the deviation, and loads of both directions chosen at random crank angles."""
+    """Return the transmission error's allowed error, and loads of both directions chosen at random crank angles."""
     pair = drive.pair
     period = mesh_pitches(drive) * _pitch(pair)
     spread = np.sort(np.random.default_rng(1).uniform(0.0, period, _SPREAD))
     rest = table_nodes.at_rest(drive, spread, workers)
     ends = table_nodes.solved(drive, 1.0, np.array([0.0, largest]), spread, rest)
-    allowed = max(accuracy, RANGE_SHARE * float(np.ptp(ends.deviation, axis=1).max()))
+    allowed = max(accuracy, RANGE_SHARE * float(np.ptp(ends.transmission_error, axis=1).max()))
 
     def chosen_loads(direction: float) -> Array:
         return _chosen_loads(drive, direction, largest, spread, rest, _SHARE * allowed)
@@ -431,7 +441,7 @@ class _Grid:
     drive
         The drive.
     allowed
-        Allowed error of the deviation, rad.
+        Allowed error of the transmission error, rad.
     loads, exact, far
         Of both directions: loads, the model at them, and at a load far beyond the last.
     workers, total, progress
@@ -497,14 +507,14 @@ class _Grid:
         load, angle = np.nonzero(needed)
         if load.size:
             self.total(load.size)
-        step = self.angles.size // (2 * coarse.deviation.shape[1])
+        step = self.angles.size // (2 * coarse.transmission_error.shape[1])
         middles = self.angles[step :: 2 * step]
         here = Rest._make(channel[step :: 2 * step] for channel in self.rest)
         solver = functools.partial(table_nodes.solved_at, self.drive, direction, loads, middles)
         nodes = solver(load, angle, here, self.workers, self.progress)
-        inserted[0][needed], inserted[1][needed] = nodes.deviation, nodes.compliance
+        inserted[0][needed], inserted[1][needed] = nodes.transmission_error, nodes.compliance
         finer = [np.stack(both, axis=-1).reshape(loads.size, -1) for both in zip(coarse[:2], inserted, strict=True)]
-        return coarse._replace(deviation=finer[0], compliance=finer[1])
+        return coarse._replace(transmission_error=finer[0], compliance=finer[1])
 
     def _solved(self, direction: float, loads: Array) -> Solved:
         """Solve loads at the fewest crank angles, and between them."""
@@ -514,7 +524,7 @@ class _Grid:
         here = Rest._make(channel[::step] for channel in self.rest)
         solver = functools.partial(table_nodes.solved, self.drive, direction, loads)
         nodes = solver(self.angles[::step], here, self.workers, self.progress)
-        while nodes.deviation.shape[1] < self.angles.size:
+        while nodes.transmission_error.shape[1] < self.angles.size:
             nodes = self._between(nodes, direction, loads)
         return nodes
 
@@ -543,7 +553,7 @@ class _Grid:
 
     def tables(self) -> Tables:
         """Return the tables through these nodes."""
-        spread = max(float(np.ptp(nodes.deviation, axis=1).max()) for nodes in self.exact)
+        spread = max(float(np.ptp(nodes.transmission_error, axis=1).max()) for nodes in self.exact)
         step = max(self.allowed / _STEPS, 1.2 * spread / _MOST_STEPS)
         with ThreadPoolExecutor(min(self.workers, len(_DIRECTIONS))) as pool:
             positive, negative = pool.map(functools.partial(_side, step=step), self.loads, self.exact, self.far)
@@ -551,8 +561,8 @@ class _Grid:
         rest = _coefficients(self.rest.crank_torque - self.rest.crank_torque.mean())
         rest_step = _rest_step(rest)
         # Where there is hardly any play the splines of its two ends must not cross.
-        negative.deviation[0] = np.maximum(negative.deviation[0], -positive.deviation[0])
-        for lower, higher in itertools.pairwise(negative.deviation):
+        negative.transmission_error[0] = np.maximum(negative.transmission_error[0], -positive.transmission_error[0])
+        for lower, higher in itertools.pairwise(negative.transmission_error):
             np.maximum(lower, higher, out=higher)
         rest = np.round(rest / rest_step) * rest_step
         return Tables(self.drive.pair.ratio, self.period, positive, negative, rest, self.allowed)
@@ -613,7 +623,9 @@ def _far(
             return times * last, table_nodes.solved(drive, direction, np.array([times * last]), angles, workers=workers)
     end = Solved(*(channel[-1:] for channel in exact))
     beyond = (_FAR[-1] - 1.0) * last
-    return _FAR[-1] * last, end._replace(deviation=end.deviation + np.float32(beyond) * end.compliance)
+    return _FAR[-1] * last, end._replace(
+        transmission_error=end.transmission_error + np.float32(beyond) * end.compliance
+    )
 
 
 def _missing_loads(
@@ -625,8 +637,8 @@ def _missing_loads(
     """
     worst = np.argsort(-np.abs(off))[: min(int(np.sum(np.abs(off) > allowed)), _WORST)]
     crank_angle, torque = probed.crank_angle[worst], probed.torque[worst]
-    deviation, _ = _between_loads(drive, loads, crank_angle, torque)
-    by_load = np.abs(deviation - probed.exact.deviation[worst]) > 0.5 * np.abs(off[worst])
+    transmission_error, _ = _between_loads(drive, loads, crank_angle, torque)
+    by_load = np.abs(transmission_error - probed.exact.transmission_error[worst]) > 0.5 * np.abs(off[worst])
     further = []
     for side_loads, direction in zip(loads, _DIRECTIONS, strict=True):
         cells, _, _ = _cells(side_loads, np.abs(torque[by_load & (torque * direction > 0.0)]))
@@ -635,8 +647,8 @@ def _missing_loads(
 
 
 def _between_loads(drive: DriveValue, loads: Sequence[Array], crank_angle: Array, torque: Array) -> tuple[Array, Array]:
-    """Interpolate deviation and stiffness between exact nodes of the loads at the very crank angles."""
-    deviation, stiffness = np.empty((2, crank_angle.size))
+    """Interpolate transmission error and stiffness between exact nodes of the loads at the very crank angles."""
+    transmission_error, stiffness = np.empty((2, crank_angle.size))
     for side_loads, direction in zip(loads, _DIRECTIONS, strict=True):
         side = np.flatnonzero(torque * direction > 0.0)
         side = side[np.argsort(crank_angle[side])]
@@ -646,9 +658,9 @@ def _between_loads(drive: DriveValue, loads: Sequence[Array], crank_angle: Array
             rest = table_nodes.at_rest(drive, crank_angle[here]) if j == 0 else None
             ends = table_nodes.solved(drive, direction, side_loads[j : j + 2], crank_angle[here], rest)
             u, h = shares[cells == j], widths[cells == j]
-            deviation[here] = direction * _hermite(u, h, ends.deviation, ends.compliance)
-            stiffness[here] = 1.0 / _slope(u, h, ends.deviation, ends.compliance)
-    return deviation, stiffness
+            transmission_error[here] = direction * _hermite(u, h, ends.transmission_error, ends.compliance)
+            stiffness[here] = 1.0 / _slope(u, h, ends.transmission_error, ends.compliance)
+    return transmission_error, stiffness
 
 
 def _missing_elsewhere(
@@ -701,7 +713,7 @@ def interpolated(tables: Tables, crank_angle: ArrayLike, torque: ArrayLike) -> S
     near, weights, rates = _spline_weights(tables.period, angles, angle)
     coarse, coarse_weights, _ = _spline_weights(tables.period, tables.positive.pressure.shape[1], angle)
     states = States(*np.empty((len(States._fields), *angle.shape)))
-    states.deviation[...] = _deviation(tables, angle, signed)
+    states.transmission_error[...] = _transmission_error(tables, angle, signed)
     for side, direction in ((tables.positive, 1.0), (tables.negative, -1.0)):
         here = signed * direction > 0.0
         load, among, weight, by_angle = np.abs(signed[here]), near[:, here], weights[:, here], rates[:, here]
@@ -722,23 +734,23 @@ def interpolated(tables: Tables, crank_angle: ArrayLike, torque: ArrayLike) -> S
 
 
 def _energy(side: Side) -> Array:
-    """Coefficients of the deviation integrated over the load, up to each load, shape (loads, angles)."""
-    energy = np.zeros_like(side.deviation)
+    """Coefficients of the transmission error integrated over the load, up to each load, shape (loads, angles)."""
+    energy = np.zeros_like(side.transmission_error)
     for k, width in enumerate(np.diff(side.load)):
         ends = np.s_[k : k + 2]
-        energy[k + 1] = energy[k] + _integral(1.0, float(width), side.deviation[ends], side.compliance[ends])
+        energy[k + 1] = energy[k] + _integral(1.0, float(width), side.transmission_error[ends], side.compliance[ends])
     return energy
 
 
-def _deviation(tables: Tables, crank_angle: Array, torque: Array) -> Array:
-    """Interpolate the deviation as `interpolated` does."""
+def _transmission_error(tables: Tables, crank_angle: Array, torque: Array) -> Array:
+    """Interpolate the transmission error as `interpolated` does."""
     near, weights, _ = _spline_weights(tables.period, tables.rest_torque.size, crank_angle)
-    deviation = np.empty_like(crank_angle)
+    transmission_error = np.empty_like(crank_angle)
     for side, direction in zip((tables.positive, tables.negative), _DIRECTIONS, strict=True):
         here = torque * direction > 0.0
         j, u, h = _cells(side.load, np.abs(torque[here]))
-        deviation[here] = direction * _hermite(u, h, *_ends(side, j, weights[:, here], near[:, here]))
-    return deviation
+        transmission_error[here] = direction * _hermite(u, h, *_ends(side, j, weights[:, here], near[:, here]))
+    return transmission_error
 
 
 def _spline_weights(period: float, angles: int, crank_angle: Array) -> tuple[NDArray[np.int64], Array, Array]:
@@ -755,7 +767,7 @@ def _ends(side: Side, cell: NDArray[np.int64], weights: Array, near: NDArray[np.
     """Deviations and compliances at both ends of cells, or their rates by the crank angle, shape (2, places)."""
     x, c = (
         np.array([np.sum(weights * values[row, near], axis=0) for row in (cell, cell + 1)])
-        for values in (side.deviation, side.compliance)
+        for values in (side.transmission_error, side.compliance)
     )
     return x, c
 
@@ -786,8 +798,8 @@ def errors_of(tables: Tables, approximate: States, exact: States, torque: Array)
 
 
 def _off(tables: Tables, probed: _Probed) -> Array:
-    """Errors of the deviation, rad."""
-    return _deviation(tables, probed.crank_angle, probed.torque) - probed.exact.deviation
+    """Errors of the transmission error, rad."""
+    return _transmission_error(tables, probed.crank_angle, probed.torque) - probed.exact.transmission_error
 
 
 class _Probed(NamedTuple):

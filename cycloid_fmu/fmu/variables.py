@@ -922,8 +922,8 @@ def from_tables(table: Sequence[Variable]) -> dict[int, Variable]:
 def states(interface: Interface) -> tuple[str, ...]:
     """Return the names of a native FMU's continuous states in Model Exchange, in order.
 
-    With internal inertias the deviation is a state in place of the output's angle, of which it is a millionth. A drive
-    with a support flange has no states: it is for Co-Simulation only.
+    With internal inertias the transmission error is a state in place of the output's angle, of which it is a millionth.
+    A drive with a support flange has no states: it is for Co-Simulation only.
     """
     heat = () if interface.thermal is None else (HEAT_STATE,)
     if interface.support_flange:

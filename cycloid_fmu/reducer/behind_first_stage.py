@@ -24,7 +24,7 @@ from cycloid_fmu.supports import transmission as stage
 
 Array = NDArray[np.float64]
 _ITERATIONS = 30
-_STEP = 1e-12  # rad at the output: convergence limit of the deviation
+_STEP = 1e-12  # rad at the output: convergence limit of the transmission error
 _SHARE = 1e-8  # of the torque: convergence limit of the cranks' torque
 _DIFFERENCE = 2e-5  # rad of the cranks, half the central difference for derivatives
 
@@ -33,12 +33,12 @@ _DIFFERENCE = 2e-5  # rad of the cranks, half the central difference for derivat
 class _Settled:
     """The cycloid stage in balance with the sun locked; arrays of shape (angles,), SI.
 
-    `found` is solved at the cranks' angles `crank`, `gear_torque` is M and `deviation` d.
+    `found` is solved at the cranks' angles `crank`, `gear_torque` is M and `transmission_error` d.
     """
 
     crank: Array
     gear_torque: Array
-    deviation: Array
+    transmission_error: Array
     found: Transmission
 
 
@@ -70,7 +70,7 @@ class _Stage:
         return np.asarray(-np.multiply(self.soft, crank_torque) - 0.5 * side * self.first.crank_play)
 
     def output(self, x: ArrayLike, side: float, w: ArrayLike) -> Array:
-        """Return the deviation d (rad) for the stage's deviation x (rad)."""
+        """Return the transmission error d (rad) for the stage's transmission error x (rad)."""
         beside = 0.5 * side * self.first.bearing_play
         return np.asarray(self.s * (np.add(x, beside) - np.divide(w, self.pair.gear_teeth)))
 
@@ -142,7 +142,7 @@ class _Stage:
         ends = []
         for torque in stage.play_loads(self.pair):
             settled = self.settle(torque, crank)
-            ends.append(settled.deviation - torque * self.moved(settled)[0])
+            ends.append(settled.transmission_error - torque * self.moved(settled)[0])
         middle = 0.5 * (ends[0] + ends[1])
         rest = self.solve(np.zeros(crank.size), crank + self.a * middle, with_play=True)
         play = {"play_low": np.minimum(ends[0], middle), "play_high": np.maximum(ends[1], middle)}
@@ -199,7 +199,7 @@ def _row(cycloid: _Stage, torque: float, crank: Array, middle: Array, options: O
     if options.with_stiffness and torque != 0.0:
         stiffness = 1.0 / cycloid.moved(settled)[0]
     return dataclasses.replace(
-        settled.found, transmission_error=settled.deviation[None], torsional_stiffness=stiffness[None]
+        settled.found, transmission_error=settled.transmission_error[None], torsional_stiffness=stiffness[None]
     )
 
 
@@ -217,4 +217,4 @@ def moved_by_errors(
     """
     cycloid = _Stage(drive, Options(slices))
     settled = cycloid.settle(torque, crank_angle)
-    return settled.deviation, settled.gear_torque, settled.crank, cycloid.moved(settled)[1]
+    return settled.transmission_error, settled.gear_torque, settled.crank, cycloid.moved(settled)[1]

@@ -111,7 +111,7 @@ def against_the_exact_model(native, pair, surface, made, probes):
         )
     found[1, 2] -= 1.0 / pair.ratio
     exact, interpolated = (tables.States(*channels) for channels in found)
-    off = np.abs(interpolated.deviation - exact.deviation).max()
+    off = np.abs(interpolated.transmission_error - exact.transmission_error).max()
     return off, tables.errors_of(made, interpolated, exact, torque)
 
 
@@ -196,7 +196,7 @@ def test_what_the_tables_say_they_err_is_what_the_library_errs(drive, slave, wit
         )
     expected = tables.interpolated(drive.tables, angle, torque)
     expected.rate[:] += 1.0 / drive.pair.ratio
-    np.testing.assert_allclose(expected.deviation, np.array(found)[:, 0], rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(expected.transmission_error, np.array(found)[:, 0], rtol=0.0, atol=1e-15)
     np.testing.assert_allclose(np.array(expected)[1:].T, np.array(found)[:, 1:], rtol=1e-9, atol=1e-12)
 
 

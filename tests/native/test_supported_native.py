@@ -86,10 +86,10 @@ def test_tables_are_what_analyze_says_within_their_accuracy(held):
     angles = np.sort(generator.uniform(0.0, 40.0, 60))
     for torque in (55.0, -21.0, 1.3, -0.06):
         want = solve(DriveValue(held.pair, held.surface), [torque], angles)
-        found = tables.interpolated(held.tables, angles, np.full(angles.size, torque)).deviation
+        found = tables.interpolated(held.tables, angles, np.full(angles.size, torque)).transmission_error
         assert np.abs(found - want.transmission_error[0]).max() < 0.5 * ARCSEC
     ends = np.full(angles.size, 1e-9)
-    high, low = (tables.interpolated(held.tables, angles, way * ends).deviation for way in (1.0, -1.0))
+    high, low = (tables.interpolated(held.tables, angles, way * ends).transmission_error for way in (1.0, -1.0))
     assert high - low == pytest.approx(want.backlash, abs=0.5 * ARCSEC)
 
 
