@@ -432,8 +432,9 @@ def test_a_step_returns_early_at_an_impact_where_the_host_asks_for_it(model, bui
     while time < 0.02:
         needed, terminate, returned, reached = found.fmi.doStep(time, 5e-3)
         assert not terminate
-        assert returned == needed == (reached < time + 5e-3 - 1e-12)
-        if returned:
+        assert returned == (reached < time + 5e-3 - 1e-12)
+        assert needed or not returned  # in the last sub-step an impact ends a whole step
+        if needed:
             early.append((reached, *found.get("elastic_energy", "transmission_error")))
             found.fmi.enterEventMode()
             found.fmi.updateDiscreteStates()

@@ -158,7 +158,7 @@ def native_builder(drive, folder, version):
     def build(rotor, arm):
         interface = Interface("compliant", arm, crank_inertia=rotor, stiffness=STIFFNESS, **CHAIN)
         path, here = folder / f"{arm:g}.fmu", [library.this_platform()]
-        build_native(drive, path, interface=interface, fmi_version=version, made=drive.tables, platforms=here)
+        build_native(drive, path, interface=interface, fmi_version=version, drive_tables=drive.tables, platforms=here)
         return path
 
     return build
