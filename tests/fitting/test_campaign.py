@@ -29,8 +29,9 @@ def test_six_conditions_predict_the_others_and_each_miss_has_its_order():
     model = campaign.calibrated()
     for load, way, warm in campaign.predicted_conditions():
         miss = campaign.misses(model, load, way, warm)
-        # Not predictable by the six conditions: the rig's zero, which drifts with the temperature.
-        assert miss["mean"] == pytest.approx(campaign.DRIFT * (warm - 20.0), abs=0.5)
+        # Not predictable by the six conditions: the rig's zero, which drifts with the temperature, and how the disc
+        # then floats in the wider ring.
+        assert miss["mean"] == pytest.approx(campaign.DRIFT * (warm - 20.0), abs=0.7)
         assert miss["noise"] < 1.5 * campaign.NOISE / campaign.ARCSEC
         named = np.sqrt(sum(miss[kind] ** 2 for kind in ("rig", "pin", "tooth", "mesh")))
         assert miss[""] < max(named, campaign.NOISE / campaign.ARCSEC)
