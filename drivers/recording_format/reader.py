@@ -262,7 +262,7 @@ class RecordingReader:
             self._file.seek(offset)
             message = pa.ipc.read_message(self._file)
             end = self._file.tell()
-        except (pa.ArrowException, OSError, EOFError):
+        except (pa.ArrowException, OSError, EOFError, MemoryError):  # MemoryError: a damaged length
             return None
         if not offset < end <= size:
             return None

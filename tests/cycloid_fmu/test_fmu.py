@@ -331,6 +331,7 @@ import pythonfmu
 assert pythonfmu.__file__.startswith(str(folder))
 slave.freeInstance()
 shutil.rmtree(folder)
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.fmu.build import build_fmu
 from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.surfaces.surface import nominal_surface
