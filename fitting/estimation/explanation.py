@@ -37,6 +37,7 @@ from fitting.model.discrepancy import GIVE, RIPPLE, beside_the_gear, causes, giv
 from fitting.model.gaussian import Evidence
 from fitting.model.identifiability import chosen_of
 from fitting.model.observations import (
+    LARGE_FRICTION_SHARE,
     MISFIT,
     PROFILE_ORDERS,
     Discrepancy,
@@ -60,6 +61,7 @@ _SETTLED = 1e-7, 1e-7, 1e-7, 1e-4  # m and rad: supports that give way by no mor
 _SETTLED_RIPPLE = 0.02  # share of the torque: smaller changes act linearly
 _DOUBTED = 0.05  # a cause that noise resembles more rarely is tried
 _LIKELIER = 12.0  # how far -2 log likelihood must fall for each such cause: noise does so in 3 of 10,000 fits
+_MUCH_FRICTION = 3.0  # prior sizes of the friction, above which a larger one is tried
 _ROUNDS = 4  # of all proposals; one or two are usual
 
 
@@ -294,6 +296,15 @@ def _beside_the_gear(search: Explanation) -> _Hypotheses:
         yield Hypothesis(search.prior, start=start)
 
 
+def _with_large_friction(search: Explanation) -> _Hypotheses:
+    """A bench or drive that rubs, from its own best start: a small prior would press the friction into other causes."""
+    best = search.best
+    estimate, prior = best.estimate, dataclasses.replace(best.hypothesis.prior, friction_share=LARGE_FRICTION_SHARE)
+    is_small = best.hypothesis.prior.friction_share < LARGE_FRICTION_SHARE
+    if is_small and estimate.state.friction > _MUCH_FRICTION * estimate.observed.friction_prior:
+        yield Hypothesis(prior)
+
+
 def _with_form(search: Explanation) -> _Hypotheses:
     """A form of the flanks among the errors: it is no column, because contacts move along a flank with it."""
     best = search.best
@@ -340,7 +351,7 @@ def _from_the_prior(search: Explanation) -> _Hypotheses:
         yield dataclasses.replace(best.hypothesis, start=None)
 
 
-PROPOSALS = _with_form, _from_another_disc, _from_nearby, _with_causes, _from_the_prior
+PROPOSALS = _with_large_friction, _with_form, _from_another_disc, _from_nearby, _with_causes, _from_the_prior
 
 
 def observed_with(curves: Sequence[Curve], pair: Pair, prior: Prior) -> Observations:
@@ -351,6 +362,7 @@ def observed_with(curves: Sequence[Curve], pair: Pair, prior: Prior) -> Observat
         profile=prior.profile,
         first_stage=prior.first_stage,
         constraints=prior.constraints,
+        friction_share=prior.friction_share,
     )
 
 

@@ -62,7 +62,8 @@ RADIUS_SPREAD = 0.3e-6  # m: usual of single pins' radii, as a sort of rollers i
 _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 _LEAST_TORQUE = 1e-3  # of a curve's mean: without any the output is free in its play
 _OTHER_LOAD = 1.2  # times the smallest load: one at which wind-up differs from play
-FRICTION_SHARE = 0.01  # of the largest torque: usual friction at the output
+FRICTION_SHARE = 0.002  # of the largest torque: usual friction at the output
+LARGE_FRICTION_SHARE = 0.01  # the same of a bench or drive that rubs
 LOOP_FRICTION_PER_LOAD = 0.5  # growth of a loop's friction with load: measured drives have up to 0.7
 _SELF_LOCKING = 0.95  # largest growth in the model: from 1 on a drive does not unload
 LOST_MOTION = "lost motion"
@@ -332,6 +333,7 @@ def observations(
     first_stage: FirstStage | None = None,
     constraints: Constraints | None = None,
     earlier: Posterior | None = None,
+    friction_share: float = FRICTION_SHARE,
 ) -> Observations:
     """Return curves as observations of a pair.
 
@@ -349,6 +351,8 @@ def observations(
         First stage of the curves, which are over the angle of ideal cranks (`fitting.model.first_stage.of_cranks`).
     constraints, earlier
         As in `Observations`.
+    friction_share
+        Prior size of the friction at the output over the largest torque.
     """
     shown = np.array([noise_of(c) for c in curves] if noise is None else noise)
     floor = max(float(np.median(shown)), 1e-9)
@@ -417,7 +421,7 @@ def observations(
         bench=np.array(columns).T,
         bench_prior=np.array(priors),
         fit_crank=not all(c.known_index for c in curves),
-        friction_prior=FRICTION_SHARE * largest,
+        friction_prior=friction_share * largest,
         with_loops=any(c.branch for c in curves),
         errors=(*errors_of(pair), *(profile or {})),
         profile=profile or {},

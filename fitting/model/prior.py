@@ -19,6 +19,7 @@ from cycloid_fmu.surfaces.surface import Elements, surface_of_pair
 from fitting.model.bearings import sizes_of, unknown_bearings
 from fitting.model.constraints import Constraints
 from fitting.model.observations import (
+    FRICTION_SHARE,
     ORDERS,
     PROFILE_ORDERS,
     errors_of,
@@ -53,12 +54,15 @@ class Prior:
         First stage before the pair, as drawn.
     constraints
         What a user has decided of the unknowns.
+    friction_share
+        Prior size of the friction at the output over the largest torque.
     """
 
     scatter: Mapping[str, float] = field(default_factory=dict)
     profile: Mapping[str, float] = field(default_factory=dict)
     first_stage: FirstStage | None = None
     constraints: Constraints | None = None
+    friction_share: float = FRICTION_SHARE
 
 
 def posterior_of(drive: Drive, also: Sequence[str] = ()) -> Posterior:
