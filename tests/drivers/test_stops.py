@@ -226,8 +226,9 @@ def test_random_stops_with_a_device_that_sends(tmp_path, case, record_property):
     # Without its own clock a line gets its arrival time; lines that may have been delayed are left out.
     assert np.max(np.abs(late)) < (2e-3 if "clock" in case else 0.06)
     assert missing > 0 or STOPS < 10  # a few short stops may lose nothing
-    # For lines without number and clock the length of a gap is known to 0.06 s, 30 lines, like their times.
-    assert_told(told["output_angle"], missing, 1 + 30 * STOPS**0.5 if case == "neither" else 1)
+    # Without a number, lines of a gap follow from its length: it is known to 0.06 s, 30 lines, like their times; by the
+    # device's clock it is exact, but the simulated device sends as late as that on a busy machine.
+    assert_told(told["output_angle"], missing, 1 if "number" in case else 1 + 30 * STOPS**0.5)
     record_property(f"lines with {case}: stops, lines lost, told", f"{STOPS}, {missing}, {told['output_angle']}")
 
 
