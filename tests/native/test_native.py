@@ -41,7 +41,12 @@ from cycloid_fmu.reducer.description import read_reducer
 from cycloid_fmu.surfaces.surface import nominal_surface, surface_of_pair
 
 ARM = Path("/usr/aarch64-linux-gnu")  # Debian's libc6-arm64-cross
-MOTION = {"kinematic": 3, "compliant": 4, "inertia": 3, "rotor": 8}  # inputs, which the C host prints first, after the time
+MOTION = {
+    "kinematic": 3,
+    "compliant": 4,
+    "inertia": 3,
+    "rotor": 8,
+}  # inputs, printed first, after the time
 STEPS = study_size("CYCLOID_STEPS", 1e4, 1e6)
 COLUMNS = (
     "time",
