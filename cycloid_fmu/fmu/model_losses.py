@@ -185,7 +185,7 @@ class _Model:
             "input_drag": self.losses.input_drag.replace(viscous=0.0),
             "output_drag": Drag(churning=self.losses.output_drag.churning),
         }
-        self.starts = dict[tuple[float, ...], Array]()
+        self.starts, self.smooth = dict[tuple[float, ...], Array](), dict[tuple[float, ...], Array]()
         self.contacts = _with_losses(drive, self.losses.replace(**drags))
 
     def input_torque(self, drive: DriveValue, loads: Array, direction: int, speed: float) -> Array:
@@ -206,6 +206,13 @@ class _Model:
                 "which a loss table can't state; state --losses, or leave [losses] out."
             )
         return torque
+
+    def smooth_torque(self, loads: Array, direction: int) -> Array:
+        """Return the torque at flange_a without friction, as `input_torque`; solved once for all speeds."""
+        key = (direction, *loads)
+        if key not in self.smooth:
+            self.smooth[key] = self.input_torque(_with_losses(self.drive, Losses()), loads, direction, 0.0)
+        return self.smooth[key]
 
     def row(self, speed: float) -> LossRow:
         """Return the row of the table at a speed of flange_a, rad/s, at the lubricant's stated temperature."""
@@ -315,13 +322,12 @@ def _parts(model: _Model, rows: tuple[LossRow, ...], orders: Array, speed: float
     It is what the balance loses more than the table, at the torque of the teeth at each angle, but for its mean; loads
     are shares of the rated one. Axes as for `LossRipple`.
     """
-    turn, smooth = math.copysign(1.0, model.rate), _with_losses(model.drive, Losses())
-    angles = np.multiply.outer(model.angles, orders)
+    turn, angles = math.copysign(1.0, model.rate), np.multiply.outer(model.angles, orders)
     design = np.column_stack([np.ones(model.angles.size), np.cos(angles), np.sin(angles)])
     parts = np.empty((2, 2, shares.size, orders.size, 2))
     for direction, drives in itertools.product((1, -1), (True, False)):
         loads = (direction if drives else -direction) * model.rated * shares
-        asked = model.input_torque(smooth, loads, direction, 0.0)
+        asked = model.smooth_torque(loads, direction)
         more = model.input_torque(model.contacts, loads, direction, speed) - table_torque(rows, speed, asked)
         fitted = np.linalg.lstsq(design, more.T, rcond=None)[0][1:]
         parts[int((direction * turn > 0.0) != drives), int(not drives)] = fitted.T.reshape(
@@ -420,7 +426,7 @@ def _differences(
 
     Shape (speeds, loads, angles); `loads` are torques of the environment on the output, N·m.
     """
-    smooth = model.input_torque(_with_losses(model.drive, Losses()), loads, direction, 0.0)
+    smooth = model.smooth_torque(loads, direction)
     thinning, off = _thinning(model.losses.lubricant, kelvin), list[Array]()
     for speed in (0.0, INPUT_STRIBECK_SPEED, 0.1 * LARGEST_SPEED, LARGEST_SPEED):
         drag = computed.output_friction.coulomb + computed.output_friction.viscous * speed / model.ratio

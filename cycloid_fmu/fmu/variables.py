@@ -64,11 +64,8 @@ class LossRipple(Config):
         `load` is the torque of the teeth at `flange_a`, N·m, `drives` whether this flange does, `speed` as `speeds`.
         """
         of_speed = np.array(self.parts)[:, int(load < 0.0), int(not drives)]
-        above = min(int(np.searchsorted(self.speeds, speed)), len(self.speeds) - 1)
-        below = max(above - 1, 0)
-        step = self.speeds[above] - self.speeds[below]
-        share = min((speed - self.speeds[below]) / step, 1.0) if step > 0.0 else 1.0
-        parts = (1.0 - share) * of_speed[below] + share * of_speed[above]
+        weights = [np.interp(speed, self.speeds, of_node) for of_node in np.eye(len(self.speeds))]
+        parts = np.tensordot(weights, of_speed, 1)
         from_none = np.concatenate([np.zeros((1, *parts.shape[1:])), parts])
         loads = (0.0, *self.loads)
         cosine, sine = (

@@ -6,6 +6,7 @@ its groups are estimated from nearly zero, so a group that the curves do not sho
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -281,28 +282,33 @@ _Hypotheses = Proposals[Hypothesis, Explained]
 
 
 def _beside_the_gear(search: Explanation) -> _Hypotheses:
-    """Errors alone, with the causes outside the contacts that the best start shows: run-out, drift and compliance.
+    """Errors alone, at the first prior."""
+    yield from _errors_alone(search, search.prior, search.origin)
+
+
+def _errors_alone(search: Explanation, prior: Prior, origin: Estimate | None) -> _Hypotheses:
+    """Errors with the causes outside the contacts that the best start shows: run-out, drift and compliance.
 
     The scatter of pins and teeth of a fit without them would absorb what it can of them.
     """
-    observed = observed_with(search.curves, search.pair, search.prior)
-    start = search.origin or Multistart(search.pair, observed, None, search.progress).estimate()
+    observed = observed_with(search.curves, search.pair, prior)
+    start = origin or Multistart(search.pair, observed, None, search.progress).estimate()
     suspected = causes_of(Residual(start), beside_the_gear(start.observed)).columns
     columns = {name: column for name, column in beside_the_gear(observed).items() if name in suspected}
     end = None
     if columns:
-        end = yield Hypothesis(search.prior, Discrepancy(columns), Likely(columns, {}, ()), start)
+        end = yield Hypothesis(prior, Discrepancy(columns), Likely(columns, {}, ()), start)
     if end is None or end.is_failed:
-        yield Hypothesis(search.prior, start=start)
+        yield Hypothesis(prior, start=start)
 
 
 def _with_large_friction(search: Explanation) -> _Hypotheses:
     """A bench or drive that rubs, from its own best start: a small prior would press the friction into other causes."""
-    best = search.best
-    estimate, prior = best.estimate, dataclasses.replace(best.hypothesis.prior, friction_share=LARGE_FRICTION_SHARE)
-    is_small = best.hypothesis.prior.friction_share < LARGE_FRICTION_SHARE
-    if is_small and estimate.state.friction > _MUCH_FRICTION * estimate.observed.friction_prior:
-        yield Hypothesis(prior)
+    estimate, prior = search.best.estimate, search.best.hypothesis.prior
+    is_tried = any(tried.prior.friction_share == LARGE_FRICTION_SHARE for tried in search.starts)
+    if not is_tried and estimate.state.friction > _MUCH_FRICTION * estimate.observed.friction_prior:
+        with contextlib.suppress(*NO_FIT):  # the best so far stays
+            yield from _errors_alone(search, dataclasses.replace(prior, friction_share=LARGE_FRICTION_SHARE), None)
 
 
 def _with_form(search: Explanation) -> _Hypotheses:
