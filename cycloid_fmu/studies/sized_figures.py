@@ -109,7 +109,7 @@ def _turn() -> Array:
 
 def _of_tolerances(pair: Pair, tolerances: Tolerances | None) -> list[Figure]:
     """Backlash and transmission error, as drawn and of sampled drives."""
-    pair = pair.replace(supports=None, bodies=None, losses=None, thermal=None, temperature=None).nominal
+    pair = pair.nominal.replace(supports=None, bodies=None, losses=None, thermal=None, temperature=None)
     torque = (pair.rated_load(),)
     samples = 1 if tolerances is None else _DRIVES
     stated = Tolerances() if tolerances is None else tolerances

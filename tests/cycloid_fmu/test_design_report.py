@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from common import make_pair
+from common import EXAMPLES, make_pair
 
 import cycloid_fmu as cy
 from cycloid_fmu import edge
@@ -23,6 +23,16 @@ PAIR = make_pair(rated_torque="181 N*m").replace(
 def report():
     text = "# Assumed <here>.\n" + PAIR.text
     return report_of(PAIR, cy.Drive(PAIR).motion("181 N*m", 0.0), "drive.toml", text, *figures_of(PAIR))
+
+
+@pytest.mark.slow(15)
+def test_errors_of_bearings_are_left_out_of_what_the_mesh_alone_has():
+    pair = cy.read_drive(EXAMPLES / "drive-39-40-bearings.toml").pair
+    backlash = next(each for each in figures_of(pair)[0] if each.name == "backlash").values[0]
+    turn = np.linspace(0.0, 2.0 * np.pi, 90, endpoint=False)
+    bare = pair.nominal.replace(supports=None, losses=None, thermal=None)
+    alone = solve(DriveValue(bare, surface_of_pair(bare)), [181.0], turn, with_play=True)
+    assert backlash == pytest.approx(alone.backlash.max(), rel=1e-3)
 
 
 def test_comments_at_the_head_are_what_is_assumed():
