@@ -77,6 +77,17 @@ def _range(values: Iterator[float]) -> tuple[float, float]:
     return float(every.min()), float(every.max())
 
 
+PRINTED = {
+    "gear_teeth": 13,
+    "pin_circle_radius": "34 mm",
+    "pin_radius": "3.5 mm",
+    "eccentricity": "1.5 mm",
+    "face_width": "25 mm",
+    "modification": {"isometric": "80 um", "offset": "-40 um"},
+}
+"""Sizes of the printed drive 13/14."""
+
+
 def printed(end: str, turning: bool) -> cy.Drive:
     """The printed drive 13/14 of the measured runs; sizes of its output and all stiffnesses are assumed."""
     contact = friction("plastic, dry", end)
@@ -103,12 +114,7 @@ def printed(end: str, turning: bool) -> cy.Drive:
     material = {"youngs_modulus": "2.2 GPa", "poissons_ratio": 0.35}
     return cy.Drive(
         cy.Pair(
-            gear_teeth=13,
-            pin_circle_radius="34 mm",
-            pin_radius="3.5 mm",
-            eccentricity="1.5 mm",
-            face_width="25 mm",
-            modification={"isometric": "80 um", "offset": "-40 um"},
+            **PRINTED,
             material={"gear": material, "pin": material},
             supports=supports,
             losses=losses,
@@ -139,13 +145,8 @@ def printed_bodies(stiff: Collection[str]) -> cy.Drive:
     supports = {"kind": "output_rollers", "count": 6, "circle_radius": "18 mm", "output_roller": roller}
     return cy.Drive(
         cy.Pair(
-            gear_teeth=13,
-            pin_circle_radius="34 mm",
-            pin_radius="3.5 mm",
-            eccentricity="1.5 mm",
-            face_width="25 mm",
+            **PRINTED,
             rated_torque="15 N*m",
-            modification={"isometric": "80 um", "offset": "-40 um"},
             material={"gear": plastic, "pin": steel if "ring's pins" in stiff else plastic},
             supports={**supports, "turning_arm": spring, "crank_shaft": spring, "main": spring},
             bodies={
