@@ -164,7 +164,7 @@ class Line:
                 break
             if sudden[at]:
                 yield self._leap(at, given, off, was, int(whose[at]), marks)
-                at, sudden[at] = at + 1, False
+                at += 1
             elif (departure := self._departure(at, given, off, runs, marks)) is not None:
                 yield departure
             else:  # no line is established yet

@@ -208,6 +208,21 @@ def test_an_angle_faster_than_its_largest_speed_is_a_jump_however_small():
     assert found[0].text == "input_angle jumps by 12.03 deg"
 
 
+@pytest.mark.parametrize("jump", [5, 1000], ids=["before a line is known", "on the line"])
+@pytest.mark.parametrize("role", ANGLES)
+def test_a_jump_of_the_last_sample_of_a_block_is_marked(role, jump):
+    time = np.arange(2000) / 1000
+    angles = {"input_angle": 10.0 * time, "output_angle": -10.0 * time / 39}
+    angles[role] = angles[role] + math.pi * (time >= jump / 1000)
+    run = Run(-39.0, time, **angles, status=np.zeros(2000, np.uint8), limits=Limits(), speed=0.3)
+    whole, _ = run.judged()
+    divided, findings = run.judged([(jump + 1.5) / 2000])
+    assert np.flatnonzero(whole)[0] == np.flatnonzero(divided)[0] == jump
+    assert (divided & ~whole).sum() <= 1, "the step from one block to the next may be marked too"
+    assert not (whole & ~divided).any()
+    assert {finding.roles for finding in findings} == {(role,)}
+
+
 def test_turns_missed_in_a_gap_are_not_a_jump():
     time = np.arange(4000) / 1000
     angle = 200.0 * time
