@@ -98,7 +98,7 @@ EFFECTS = {
     ),
     "soft crank, 1 µm at 200 N·m": Effect(("support_give",), crank=1e-6),
     "soft chain, 20″ at 200 N·m": Effect(("compliance",), chain=20.0 * ARCSEC / 200.0),
-    "disc and cranks on bearings": Effect(("support_give", "compliance"), bearings=True),
+    "disc and cranks on bearings": Effect(("support_give", "support_play", "compliance"), bearings=True),
     "the same, its bearings stated": Effect(bearings=True, stated=True),
     "zero drifts 12″ and a 4″ wave": Effect(("drift",), drift=12.0),
     "run-out 60″, orders 2 and 3": Effect(("run_out",), run_out=(60.0, 8.0, 4.0)),

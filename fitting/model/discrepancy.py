@@ -18,14 +18,22 @@ from fitting.transmission_error.spectrum import RIG_ORDERS
 
 Array = NDArray[np.float64]
 
-GIVE, RIPPLE, LAG, FORM, RUN_OUT_CAUSE = "support_give", "torque_ripple", "clock_lag", "flank_form", "run_out"
+GIVE, PLAY, RIPPLE, LAG, FORM, RUN_OUT_CAUSE = (
+    "support_give",
+    "support_play",
+    "torque_ripple",
+    "clock_lag",
+    "flank_form",
+    "run_out",
+)
 _FORM_STEP = 1e-6  # m: step of the differences with respect to a form
 _SLOW = 6  # degree of the drift of a zero over a recording
 _CRANK = 100.0  # rad of the crank per rad of the transmission error
 _STEADY = 1e-3  # relative change of the speed below which a lag has no effect
 BESIDE_THE_GEAR = ("compliance", RUN_OUT_CAUSE, "drift")  # causes that act outside the contacts
 SENTENCES = {
-    GIVE: "supports that are compliant or have play under load",
+    GIVE: "supports that are compliant under load",
+    PLAY: "supports with play, which shift with the side of the load",
     "compliance": "further compliance between the encoders",
     "friction": "friction that grows with the load",
     RIPPLE: "torque that the sensor does not measure",
@@ -60,8 +68,10 @@ def causes(pair: Pair, observed: Observations, linear: Linear, formed: State | N
     against = np.repeat([-float(c.direction) * np.sign(c.ratio) for c in curves], sizes)
     stated = np.concatenate([c.torque_at_points for c in curves])
     by_ripple = linear.by_friction * against * stated * running
+    by_load, by_side = _shifts(pair, observed, linear)
     found = {
-        GIVE: _give(pair, observed, linear),
+        GIVE: by_load,
+        PLAY: by_side,
         "friction": [_unit(linear.by_friction * np.abs(load))],
         RIPPLE: [by_ripple * wave * _ripple_unit(observed) for wave in _waves(observed).T],
     }
@@ -106,14 +116,14 @@ def by_lag(observed: Observations, linear: Linear) -> Array:
     return found
 
 
-def _give(pair: Pair, observed: Observations, linear: Linear) -> list[Array]:
-    """Shifts of ring and disc proportional to the load or to its sign, each in turn for each kind of `_growth`."""
+def _shifts(pair: Pair, observed: Observations, linear: Linear) -> tuple[list[Array], list[Array]]:
+    """Effects of shifts of ring, disc and crank: proportional to the load and to its size; and to its sign."""
     shifts = [linear.structured[:, observed.errors.index(n)] for n in GIVES]
     # A disc on a compliant crank leads or lags it, as if the crank had another angle.
-    growth = _growth(observed, np.concatenate([c.torque_at_points for c in observed.curves]))
+    *by_load, by_side = _growth(observed, np.concatenate([c.torque_at_points for c in observed.curves]))
     # At a corner a curve has no slope.
-    each = zip((*shifts, np.nan_to_num(linear.by_crank)), _units(pair), strict=True)
-    return [shift * unit * of for shift, unit in each for of in growth]
+    each = [shift * unit for shift, unit in zip((*shifts, np.nan_to_num(linear.by_crank)), _units(pair), strict=True)]
+    return [shift * of for shift in each for of in by_load], [shift * by_side for shift in each]
 
 
 def _growth(observed: Observations, torque: Array) -> tuple[Array, Array, Array]:
@@ -126,23 +136,27 @@ def _units(pair: Pair) -> Array:
     return np.array([pair.gear_teeth * pair.eccentricity] * len(GIVES) + [_CRANK])
 
 
-def given_way(pair: Pair, observed: Observations, coefficients: Array) -> Array:
+def given_way(pair: Pair, observed: Observations, give: Array | None, play: Array | None) -> Array:
     """Return the displacement of the supports in each curve.
 
     Parameters
     ----------
     pair, observed
         The nominal pair and the observations.
-    coefficients
-        Coefficients of the columns of `GIVE`, rad.
+    give, play
+        Coefficients of the columns of `GIVE` and `PLAY`, rad, where they are in the fit.
 
     Returns
     -------
     shifts
         Shape (curves, 4), as `Observations.give`; 0 for loops, whose torque varies.
     """
-    growth = np.array(_growth(observed, np.array([c.torque for c in observed.curves])))
-    shifts: Array = (coefficients.reshape(-1, len(growth)) @ growth).T * _units(pair)
+    *by_load, by_side = np.array(_growth(observed, np.array([c.torque for c in observed.curves])))
+    shifts = np.zeros((len(observed.curves), len(GIVES) + 1))
+    if give is not None:
+        shifts += (give.reshape(-1, len(by_load)) @ np.array(by_load)).T * _units(pair)
+    if play is not None:
+        shifts += np.outer(by_side, play * _units(pair))
     shifts[[i for i, c in enumerate(observed.curves) if c.branch]] = 0.0
     return shifts
 

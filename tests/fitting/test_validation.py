@@ -17,8 +17,9 @@ from fitting.reports.report import report
 # Of the first the fit once held seven errors, whose part the scatter and the centre distances took: 24 standard errors.
 # The second's supports seemed to give way, the third's zeros to creep.
 QUICK = {"none": 2, "flank form 1 µm": 0}
-# Undetected forms of the flanks looked like eccentricities of 5 standard errors where supports give way.
-MIXTURE = [pytest.param("a realistic mixture", seed, marks=pytest.mark.slow(6)) for seed in (4, 15)]
+# Where supports give way, undetected forms of the flanks looked like eccentricities of 5 standard errors; of the third a
+# form did, as supports that may have play took part of it.
+MIXTURE = [pytest.param("a realistic mixture", seed, marks=pytest.mark.slow(6)) for seed in (4, 15, 10)]
 SOFT_CHAIN = pytest.param("soft chain, 20″ at 200 N·m", 4, marks=pytest.mark.slow(6))
 
 
