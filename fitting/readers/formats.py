@@ -306,13 +306,13 @@ def name_and_unit(text: str) -> tuple[str, str]:
 def unique(channels: Sequence[RawChannel]) -> tuple[RawChannel, ...]:
     """Number channels of the same name, because a name in a mapping must identify one channel."""
     seen: dict[str, int] = {}
-    found = []
+    numbered = []
     for c in channels:
         name = edge.without_controls(c.name[:LONGEST_NAME])
         seen[name] = seen.get(name, 0) + 1
         name = name if seen[name] == 1 else f"{name} #{seen[name]}"
-        found.append(RawChannel(name, edge.without_controls(c.unit[:LONGEST_NAME]), c.zero_reference))
-    return tuple(found)
+        numbered.append(RawChannel(name, edge.without_controls(c.unit[:LONGEST_NAME]), c.zero_reference))
+    return tuple(numbered)
 
 
 def in_order(streams: Sequence[Iterator[Piece]]) -> Iterator[Piece]:
@@ -368,7 +368,7 @@ def measures(unit: str, si: str) -> bool:
     if not text or text in USUAL.get(si, {}):
         return bool(text)
     try:
-        own, wanted = (edge.units().Quantity(1.0, edge.parse_unit(one)).to_base_units().units for one in (text, si))
+        own, wanted = (edge.units().Quantity(1.0, edge.parse_unit(t)).to_base_units().units for t in (text, si))
     except ValueError:
         return False
     return bool(own == wanted)
