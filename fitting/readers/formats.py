@@ -145,9 +145,8 @@ def _reader(path: str | os.PathLike[str], source: object) -> tuple[str, str]:
         if (refused := edge.wrong_kind(path, "a recording", tables=True)) is not None:
             raise refused
         known = sorted({*READERS, *(e.name for e in metadata.entry_points(group=GROUP))})
-        raise edge.InputError(
-            f"{source}: the ending must be one of {', '.join('.' + one for one in known)}; {COMPRESSED} may follow it."
-        )
+        endings = ", ".join(f".{ending}" for ending in known)
+        raise edge.InputError(f"{source}: the ending must be one of {endings}; {COMPRESSED} may follow it.")
     return ending, reader
 
 
