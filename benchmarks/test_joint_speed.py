@@ -1,10 +1,13 @@
-"""A step of MuJoCo with a drive in one hinge, beside one with attributes alone."""
+"""A step of MuJoCo with a drive in one hinge, beside one with attributes alone; processor time."""
+
+import time
 
 import joint_cases
 import pytest
 
 from cycloid_fmu.joint.joint_drive import JointDrive, MujocoJoints
 
+pytestmark = pytest.mark.benchmark(timer=time.process_time)
 CASE, STEP = joint_cases.read("printed-move"), 1e-3
 
 

@@ -187,7 +187,8 @@ def page(folder: Path, quick: bool) -> str:
             f"By `python docs/measure.py{' --quick' if quick else ''}` on "
             f"{machine['cpu'].get('brand_raw', machine['machine'])}, {os.cpu_count()} cores, {platform.system()}, "
             f"Python {machine['python_version']}. Ratios are of one run, each against the baseline that its benchmark "
-            "names; times are medians.",
+            "names; times are medians. The load is the machine's, before and after. Above the number of cores other "
+            "work ran beside: then times on the clock are too long; only ratios and processor times can be compared.",
             "## Speed",
             *(line for report in speeds for line in speed(report)),
             "## Accuracy and coverage",

@@ -200,11 +200,11 @@ QUESTIONS: dict[str, tuple[Figure, ...]] = {
             ("processor seconds",) * 3,
         ),
         Figure(
-            "from instantiation to the first step in a fresh process",
+            "from instantiation to the first step in a fresh process, processor time",
             "{} s",
             FMU,
             "test_ready_in_a_fresh_process",
-            ("s from instantiate to initialised",),
+            ("processor s from instantiate to initialised",),
         ),
     ),
     "How long do studies and fits take?": (
@@ -230,13 +230,18 @@ QUESTIONS: dict[str, tuple[Figure, ...]] = {
             ("ms a task",),
         ),
         Figure(
-            "wear over three million turns, all teeth alike", "{}", "test_wear_speed", "test_three_million_turns[alike]"
+            "wear over three million turns, all teeth alike, processor time",
+            "{} s",
+            "test_wear_speed",
+            "test_three_million_turns[alike]",
+            ("user time",),
         ),
         Figure(
             "the same where all teeth and pins differ",
-            "{}",
+            "{} s",
             "test_wear_speed",
             "test_three_million_turns[all teeth and pins differ]",
+            ("user time",),
         ),
         Figure(
             "identification from the command line, processor seconds, least and median",

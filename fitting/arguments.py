@@ -34,9 +34,9 @@ def positive(value: float | str, si: str, argument: str, *, zero: bool = False) 
         If it is no such quantity.
     """
     try:
-        found = float(value) if isinstance(value, numbers.Real) else edge.parse_quantity(value, si)
+        number = float(value) if isinstance(value, numbers.Real) else edge.parse_quantity(value, si)
     except ValueError as problem:
         raise edge.ArgumentError(argument, str(problem), value) from None
-    if not (math.isfinite(found) and (found > 0.0 or (zero and found == 0.0))):
+    if not (math.isfinite(number) and (number > 0.0 or (zero and number == 0.0))):
         raise edge.ArgumentError(argument, f"it must be {'zero or ' if zero else ''}above zero", value)
-    return found
+    return number

@@ -139,7 +139,7 @@ def _warmth(law: Law, inverse: Inverse | None) -> tuple[Array, Array]:
 
 
 def _spread(model: Model, inverse: Inverse, others: Sequence[ErrorSurface]) -> Array:
-    """Return the mean square deviation of others from a drive at each torque; 0 without others, rad².
+    """Return the mean square of others' transmission errors less a drive's at each torque; 0 without others, rad².
 
     The ends of the play represent zero torque.
     """
@@ -151,5 +151,5 @@ def _spread(model: Model, inverse: Inverse, others: Sequence[ErrorSurface]) -> A
     some = np.unique(np.round(np.linspace(0, torque.size - 1, 9)).astype(int))
     some = some[torque[some] != 0.0]
     best = model.solved(torque[some], crank)
-    off = [model._replace(surface=other).solved(torque[some], crank) - best for other in others]
-    return np.asarray(np.interp(torque, torque[some], np.mean(np.square(off), axis=(0, 2))))
+    difference = [model._replace(surface=other).solved(torque[some], crank) - best for other in others]
+    return np.asarray(np.interp(torque, torque[some], np.mean(np.square(difference), axis=(0, 2))))

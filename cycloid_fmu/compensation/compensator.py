@@ -49,7 +49,7 @@ class Compensator:
     ratio, crank_ratio
         Rotation of the motor, and of the crank, over that of the output; signed.
     inverse
-        Deviation of the output over ideal crank angle, torque of the teeth and temperature.
+        Transmission error over ideal crank angle, torque of the teeth and temperature.
     compliance
         Series compliance of the output, rad/(N·m).
     coulomb, load_share, stribeck, viscous, presliding_angle
@@ -59,7 +59,7 @@ class Compensator:
     warmth_temperature, warmth
         Temperatures (K) and their factors on all friction except the viscous part.
     variance
-        Of the deviation, from the fit, the torque's accuracy and the table, shape (temperatures, torques) of
+        Of the transmission error, from the fit, the torque's accuracy and the table, shape (temperatures, torques) of
         `inverse`, rad².
     ripple_variance
         Variance of the part that depends on the crank angle, likewise.
@@ -94,7 +94,9 @@ class Compensator:
         """Bytes of all tables."""
         t = self.tables
         friction = (self.stribeck_speed, self.stribeck_share, self.warmth_temperature, self.warmth)
-        return sum(one.nbytes for one in (*t.steps, t.node, self.inverse.torque, self.inverse.temperature, *friction))
+        return sum(
+            table.nbytes for table in (*t.steps, t.node, self.inverse.torque, self.inverse.temperature, *friction)
+        )
 
     @functools.cached_property
     def tables(self) -> Tables:
@@ -104,7 +106,7 @@ class Compensator:
         node = np.stack([t.mean, flank, self.variance, self.ripple_variance], axis=-1)
         # Six times a spline's value is a sum of whole numbers.
         node = np.concatenate([node, t.share * t.scale / 6.0], axis=-1)
-        steps = tuple(np.take(one, np.arange(-1, len(one) + SUPPORT - 1), mode="wrap") for one in t.steps)
+        extended = tuple(np.take(steps, np.arange(-1, len(steps) + SUPPORT - 1), mode="wrap") for steps in t.steps)
         # Without friction there is no element.
         strain = self.presliding_angle / FRICTION_ELEMENTS
         stiffness = 2.0 / (self.presliding_angle * (FRICTION_ELEMENTS + 1))
@@ -117,7 +119,7 @@ class Compensator:
             noise,
             self.least_variance + noise,
             node,
-            steps,
+            extended,
             _rates(t.torque),
             _rates(t.temperature),
             _rates(self.stribeck_speed),
@@ -160,10 +162,10 @@ class Tables(NamedTuple):
     strain, stiffness
         Of friction: what each element may strain for each part of its torque (rad), and stiffness over torque (1/rad).
     noise, least
-        Variance of the output encoder, and with it the least variance of the deviation, rad².
+        Variance of the output encoder, and with it the least variance of the transmission error, rad².
     node
-        Shape (temperatures, torques, `COLUMNS` + functions): mean deviation (rad), direction of the torque, variance
-        (rad²), that of the ripple (rad²), and what each function of the crank angle counts, a sixth of rad.
+        Shape (temperatures, torques, `COLUMNS` + functions): mean transmission error (rad), direction of the torque,
+        variance (rad²), that of the ripple (rad²), and what each function of the crank angle counts, a sixth of rad.
     steps
         Coefficients of each spline from the one before the first, `SUPPORT` more than it has knots.
     torque_rate, temperature_rate, stribeck_rate, warmth_rate
@@ -209,15 +211,15 @@ class Memory:
         Rotation of the output since the flank was uncertain, rad.
     applied
         Learned values in the command: difference of the encoders' zeros (rad), half of the added play (rad), gain of
-        mean deviation and wind-up, gain of the part that depends on the crank angle.
+        mean transmission error and wind-up, gain of the part that depends on the crank angle.
     learned
         The same as measurements have it, over `KNOWN`.
-    sure
+    gain_variance
         Variance of the ripple's gain.
     moments, products
         Sums over measurements, which fade: of the four regressors' products, each times `KNOWN`, row by row up to the
         diagonal, and of theirs with what was measured.
-    count, left
+    count, residual_squares
         Effective number of measurements, and their residual sum of squares, rad².
     """
 
@@ -229,11 +231,11 @@ class Memory:
     settled: float = SETTLED
     applied: list[float] = field(init=False)
     learned: list[float] = field(default_factory=lambda: list(PRIOR))
-    sure: float = KNOWN[3] * KNOWN[3]
+    gain_variance: float = KNOWN[3] * KNOWN[3]
     moments: list[float] = field(default_factory=lambda: [0.0] * 10)
     products: list[float] = field(default_factory=lambda: [0.0] * 4)
     count: float = 0.0
-    left: float = 0.0
+    residual_squares: float = 0.0
 
     def __post_init__(self) -> None:
         known = _given(self.index) and self.probability > 0.0
@@ -320,10 +322,10 @@ def step(
     angle = desired_angle - offset - wound * state.wound
     ripple, slope = _ripple(c, state, angle * c.crank_ratio + m.index)
     expected = state.variance + m.doubt * state.ripple
-    variance = (FIRST * expected + m.left) / (FIRST + m.count)
+    variance = (FIRST * expected + m.residual_squares) / (FIRST + m.count)
     small = LEAST_GAIN * m.probability - KNOWN[3] * m.learned[3]
     more = variance > ALARM * ALARM * (expected + c.tables.noise)
-    another = small > 0.0 and small * small > ALARM * ALARM * m.sure
+    another = small > 0.0 and small * small > ALARM * ALARM * m.gain_variance
     holds = plausible and inside and not (m.count > ENOUGH and (more or another))
     return Command(
         c.ratio * (angle - play * state.flank - wound * state.mean - gain * ripple),
@@ -355,7 +357,7 @@ def _on_line(nodes: Array, rates: Array, values: Array, at: float) -> float:
 def torque_of_teeth(c: Compensator, m: Memory, angle: float, speed: float, load: float, temperature: float) -> float:
     """Return the torque through the teeth, the load minus friction, and move the friction elements."""
     t = c.tables
-    way = angle - m.angle if _given(m.angle) else 0.0
+    rotation = angle - m.angle if _given(m.angle) else 0.0
     m.angle = angle
     dry = c.coulomb + c.load_share * abs(load)
     rest = dry + c.stribeck
@@ -367,7 +369,7 @@ def torque_of_teeth(c: Compensator, m: Memory, angle: float, speed: float, load:
     total = 0.0
     for i in range(FRICTION_ELEMENTS):
         most = bound * (i + 1)
-        m.strains[i] = min(max(m.strains[i] + way, -most), most)
+        m.strains[i] = min(max(m.strains[i] + rotation, -most), most)
         total += m.strains[i]
     return load - t.stiffness * rest * total - c.viscous * speed
 
@@ -378,8 +380,8 @@ def _state(c: Compensator, torque: float, temperature: float) -> _State:
     j, v = _between(c.inverse.torque, t.torque_rate, torque)
     low, high = t.node[i], t.node[min(i + 1, len(t.node) - 1)]
     p, q, r, s = (1.0 - u) * (1.0 - v), (1.0 - u) * v, u * (1.0 - v), u * v
-    found = p * low[j] + q * low[j + 1] + r * high[j] + s * high[j + 1]
-    mean, flank, variance, ripple, *shares = found.tolist()
+    columns = p * low[j] + q * low[j + 1] + r * high[j] + s * high[j + 1]
+    mean, flank, variance, ripple, *shares = columns.tolist()
     return _State(torque, c.compliance * torque, mean, flank, variance, ripple, shares)
 
 
@@ -390,9 +392,9 @@ def _ripple(c: Compensator, state: _State, crank: float) -> tuple[float, float]:
     value = slope = 0.0
     for share, steps in zip(state.shares, c.tables.steps, strict=True):
         knots = len(steps) - SUPPORT
-        place = turn * knots
-        knot = int(place)
-        s = place - knot
+        position = turn * knots
+        knot = int(position)
+        s = position - knot
         a, b, d, e = steps[knot : knot + SUPPORT].tolist()
         third, second, first = e - a + 3 * (b - d), 3 * (a + d - 2 * b), 3 * (d - a)
         value += share * (((third * s + second) * s + first) * s + (a + 4 * b + d))
@@ -410,33 +412,33 @@ def _learn(c: Compensator, m: Memory, state: _State, motor_angle: float, output_
     ripple = _ripple(c, state, crank + m.index)[0]
     rows = (KNOWN[0], KNOWN[1] * state.flank, KNOWN[2] * (state.wound + state.mean), KNOWN[3] * ripple)
     first = not _given(m.output)
-    turned = 0.0 if first else abs(output_angle - m.output)
-    way = abs(c.crank_ratio * turned)
+    rotation = 0.0 if first else abs(output_angle - m.output)
+    crank_rotation = abs(c.crank_ratio * rotation)
     m.output = output_angle
-    kept = max(0.0, 1.0 - way * (1.0 / MEMORY))
+    forgetting = max(0.0, 1.0 - crank_rotation * (1.0 / MEMORY))
     expected = state.variance + t.noise + m.doubt * state.ripple
-    variance = (FIRST * expected + kept * m.left) / (FIRST + kept * m.count)
+    variance = (FIRST * expected + forgetting * m.residual_squares) / (FIRST + forgetting * m.count)
     a, b, d, e = m.learned
-    off = measured - (a * rows[0] + b * rows[1] + d * rows[2] + e * rows[3])
-    m.settled = m.settled + turned if abs(state.flank) >= SURE_FLANK else 0.0
-    weight = 0.0 if m.settled < SETTLED else 1.0 if first else min(1.0, way * (1.0 / CORRELATION))
+    residual = measured - (a * rows[0] + b * rows[1] + d * rows[2] + e * rows[3])
+    m.settled = m.settled + rotation if abs(state.flank) >= SURE_FLANK else 0.0
+    weight = 0.0 if m.settled < SETTLED else 1.0 if first else min(1.0, crank_rotation * (1.0 / CORRELATION))
     weight *= min(1.0, t.least / (state.variance + t.noise))
     most = OUTLIER * OUTLIER * variance
-    if off * off > most:
-        weight *= math.sqrt(most / (off * off))
-    m.count = kept * m.count + weight
-    m.left = kept * m.left + weight * off * off
+    if residual * residual > most:
+        weight *= math.sqrt(most / (residual * residual))
+    m.count = forgetting * m.count + weight
+    m.residual_squares = forgetting * m.residual_squares + weight * residual * residual
     n = 0
     for i in range(4):
         weighted = weight * rows[i]
         for j in range(i + 1):
-            m.moments[n] = kept * m.moments[n] + weighted * rows[j]
+            m.moments[n] = forgetting * m.moments[n] + weighted * rows[j]
             n += 1
-        m.products[i] = kept * m.products[i] + weighted * measured
-    m.sure = _solve(m, variance)
+        m.products[i] = forgetting * m.products[i] + weighted * measured
+    m.gain_variance = _solve(m, variance)
     # An uncertain gain is reduced: this minimises the mean square error.
     g = KNOWN[3] * m.learned[3]
-    ripple = g * g * g / (g * g + m.sure) if g > 0.0 else 0.0
+    ripple = g * g * g / (g * g + m.gain_variance) if g > 0.0 else 0.0
     targets = (
         KNOWN[0] * m.learned[0],
         KNOWN[1] * m.learned[1],
@@ -444,7 +446,7 @@ def _learn(c: Compensator, m: Memory, state: _State, motor_angle: float, output_
         min(ripple, LARGEST_GAIN),
     )
     for i in range(4):
-        most = way * (ANGLE_RATE if i < 2 else GAIN_RATE)
+        most = crank_rotation * (ANGLE_RATE if i < 2 else GAIN_RATE)
         m.applied[i] += min(max(targets[i] - m.applied[i], -most), most)
     return True
 

@@ -15,7 +15,7 @@ from cycloid_fmu.compensation.compensator import CORRELATION, Compensator, Memor
 from cycloid_fmu.edge import ArgumentError
 
 Array = NDArray[np.float64]
-LEAST_WAY = 2.0 * math.pi  # rad of the crank
+LEAST_ROTATION = 2.0 * math.pi  # rad of the crank
 _FINE = 0.25  # of the spacing of the finest spline's knots: distance of candidates where any angle may be the index
 _MOST = 10000  # candidates of a spacing
 _BLOCK = 256  # candidates at a time
@@ -31,7 +31,7 @@ class Index(NamedTuple):
     probability
         Probability of this candidate; accept it above 0.99, otherwise move farther or load the drive more.
     residual
-        Residual of the measured deviation, rms, rad.
+        Residual of the measured transmission error, rms, rad.
     rival
         Residual of the best other candidate, rms, rad.
     """
@@ -53,9 +53,9 @@ def find_index(
 ) -> Index:
     """Find the index from a slow motion of a crank turn or more with both angles measured.
 
-    Each candidate's ripple is compared with the measured deviation, with the zero, the play and the gain of wind-up
-    free. Residuals are taken as independent from radian to radian of the crank, so the odds of two candidates are the
-    ratio of their residuals to the power of the motion.
+    Each candidate's ripple is compared with the measured transmission error, with the zero, the play and the gain of
+    wind-up free. Residuals are taken as independent from radian to radian of the crank, so the odds of two candidates
+    are the ratio of their residuals to the power of the motion.
 
     Parameters
     ----------
@@ -72,8 +72,8 @@ def find_index(
     Raises
     ------
     edge.ArgumentError
-        If the crank turns by less than `LEAST_WAY`, the arrays are not of one shape or no numbers, or the compensator's
-        table has no ripple.
+        If the crank turns by less than `LEAST_ROTATION`, the arrays are not of one shape or no numbers, or the
+        compensator's table has no ripple.
 
     Examples
     --------
@@ -87,8 +87,8 @@ def find_index(
     >>> crank = np.linspace(1.0, 12.0, 300)
     >>> output = crank / drive.ratio + drive.analyze(30.0, crank_angle=crank).transmission_error.values[0]
     >>> compensator = drive.compensator(residual="4 arcsec")
-    >>> found = find_index(compensator, crank - 2.5, output - 2.5 / drive.ratio, 30.0, 293.15)
-    >>> round(found.angle, 2), found.probability > 0.99
+    >>> index = find_index(compensator, crank - 2.5, output - 2.5 / drive.ratio, 30.0, 293.15)
+    >>> round(index.angle, 2), index.probability > 0.99
     (2.5, True)
     """
     if not compensator.inverse.steps:
@@ -96,9 +96,11 @@ def find_index(
             "compensator", "its table has no ripple to find the index by; make it with a smaller residual"
         )
     motor, output, load = _samples(motor_angle, output_angle, load_torque)
-    way = float(np.abs(np.diff(output)).sum()) * abs(compensator.crank_ratio)
-    if way < LEAST_WAY:
-        raise ArgumentError("output_angle", f"the crank must turn by {LEAST_WAY:.3g} rad or more", f"{way:.3g} rad")
+    rotation = float(np.abs(np.diff(output)).sum()) * abs(compensator.crank_ratio)
+    if rotation < LEAST_ROTATION:
+        raise ArgumentError(
+            "output_angle", f"the crank must turn by {LEAST_ROTATION:.3g} rad or more", f"{rotation:.3g} rad"
+        )
     residual_at = _residual_function(compensator, motor, output, load, temperature)
     period = compensator.inverse.period
     index = _candidates(compensator, spacing)
@@ -108,7 +110,7 @@ def find_index(
     apart = np.abs((index - index[best] + 0.5 * period) % period - 0.5 * period)
     other = apart > (CORRELATION if spacing is None else 0.0)
     rival = float(residual[other].min()) if other.any() else math.inf
-    odds = (residual[best] / residual[other]) ** (way / CORRELATION)
+    odds = (residual[best] / residual[other]) ** (rotation / CORRELATION)
     angle = float(index[best])
     if spacing is None:
         ends = angle - period / count, angle + period / count
@@ -145,7 +147,7 @@ def _candidates(compensator: Compensator, spacing: float | None) -> Array:
 def _residual_function(
     compensator: Compensator, motor: Array, output: Array, load: Array, temperature: float
 ) -> Callable[[Array], Array]:
-    """Return the function from indices to residuals of the deviation, rms, rad; zero, play and wind-up are free."""
+    """Return the function from indices to residuals, rms, rad; zero, play and wind-up are free."""
     memory, inverse = Memory(), compensator.inverse
     torque = np.array(
         [torque_of_teeth(compensator, memory, a, 0.0, t, temperature) for a, t in zip(output, load, strict=True)]
@@ -158,8 +160,8 @@ def _residual_function(
     measured = output - motor / compensator.ratio
 
     def residual(index: Array) -> Array:
-        deviation = measured - inverse.at(crank + index[:, None], torque, temperature)[1]
-        deviation = deviation - (deviation @ basis) @ basis.T
-        return np.asarray(np.sqrt(np.mean(deviation**2, axis=1)))
+        residuals = measured - inverse.at(crank + index[:, None], torque, temperature)[1]
+        residuals = residuals - (residuals @ basis) @ basis.T
+        return np.asarray(np.sqrt(np.mean(residuals**2, axis=1)))
 
     return residual

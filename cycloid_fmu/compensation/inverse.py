@@ -1,7 +1,7 @@
-"""The inverse of a drive as a small table: the deviation of the output over its angle and torque.
+"""The inverse of a drive as a small table: its transmission error over output angle and torque.
 
 With the crank at θ under the torque T the output is at φ = θ/ratio + x(θ, T). A controller knows the desired φ, so the
-table has the same deviation over ψ = ratio φ, the crank angle that an ideal drive would have there,
+table has the same transmission error over ψ = ratio φ, the crank angle that an ideal drive would have there,
 
     x̃(ψ, T) = x(θ, T)  where  ψ = θ + ratio x(θ, T),
 
@@ -55,12 +55,12 @@ SURE = 4.0  # standard deviations of the torque from none: where the flank that 
 
 @dataclass(frozen=True)
 class Inverse:
-    """Deviation of the output over ideal crank angle and torque of the teeth.
+    """Transmission error over ideal crank angle and torque of the teeth.
 
     Attributes
     ----------
     period
-        Crank angle after which the deviation repeats, rad.
+        Crank angle after which the transmission error repeats, rad.
     steps
         Coefficients of each spline over the period, whole numbers, each of shape (its knots,).
     scale
@@ -70,14 +70,14 @@ class Inverse:
     temperature
         Temperatures of the nodes, ascending, shape (temperatures,), K.
     mean
-        Deviation's mean over the crank angle there, shape (temperatures, nodes), rad.
+        Mean transmission error over the crank angle there, shape (temperatures, nodes), rad.
     share
         Functions of the torque, shape (temperatures, nodes, functions), 1.
     flank
         Mean sign of the torque, 1 or -1, for a torque known to its accuracy, shape (nodes,).
     spread
-        Variance of the deviation for a torque known to its accuracy, mean over the crank angle, shape (temperatures,
-        nodes), rad².
+        Variance of the transmission error for a torque known to its accuracy, mean over the crank angle, shape
+        (temperatures, nodes), rad².
     residual
         Largest difference from the model at places not used to choose the table, at torques of `SURE` times their
         accuracy or more, rad.
@@ -104,7 +104,7 @@ class Inverse:
         return np.asarray(np.einsum("tnr,rs,tns->tn", self.share, products, self.share))
 
     def at(self, angle: ArrayLike, torque: ArrayLike, temperature: ArrayLike) -> tuple[Array, Array]:
-        """Mean of the deviation, and the rest (rad), at ideal crank angles, torques, temperatures."""
+        """Mean transmission error, and the ripple about it (rad), at ideal crank angles, torques, temperatures."""
         at, torques, warmth = np.broadcast_arrays(*(np.asarray(v, dtype=float) for v in (angle, torque, temperature)))
         weights = _weights(self.torque, torques)
         by_warmth = _weights(self.temperature, warmth)
@@ -129,9 +129,9 @@ def _weights(nodes: Array, at: Array) -> list[tuple[NDArray[np.intp], Array]]:
 
 def _spline(steps: NDArray[np.int8 | np.int16], turn: Array) -> Array:
     """Value of a periodic cubic B-spline at shares of its period."""
-    place = (turn - np.floor(turn)) * len(steps)
-    knot = np.minimum(place.astype(np.intp), len(steps) - 1)
-    s = place - knot
+    position = (turn - np.floor(turn)) * len(steps)
+    knot = np.minimum(position.astype(np.intp), len(steps) - 1)
+    s = position - knot
     r = 1.0 - s
     parts = (r**3, 3.0 * s**3 - 6.0 * s**2 + 4.0, 3.0 * r**3 - 6.0 * r**2 + 4.0, s**3)
     return np.asarray(sum(part * steps[(knot + k - 1) % len(steps)] for k, part in enumerate(parts)) / 6.0)
@@ -157,7 +157,7 @@ class Model(NamedTuple):
     workers: int
 
     def solved(self, torque: ArrayLike, crank: Array, progress: Callable[[int], None] = lambda n: None) -> Array:
-        """Return deviations under torques other than 0, shape (torques, angles) or as `contact.transmission` (rad)."""
+        """Return transmission errors (rad) under torques other than 0, as `analysis.solve`: (torques, angles)."""
         return solve(
             DriveValue(self.pair, self.surface, self.first_stage),
             torque,
@@ -170,15 +170,15 @@ class Model(NamedTuple):
 
     def ends(self, crank: Array) -> tuple[Array, Array]:
         """Return the ends of the play, or the unloaded position as both, each of shape (angles,), rad."""
-        found = solve(
+        solution = solve(
             DriveValue(self.pair, self.surface, self.first_stage),
             [0.0],
             crank,
             with_stiffness=False,
             workers=self.workers,
         )
-        rest, free = found.transmission_error[0], np.isfinite(found.play_low)
-        return np.where(free, found.play_low, rest), np.where(free, found.play_high, rest)
+        rest, free = solution.transmission_error[0], np.isfinite(solution.play_low)
+        return np.where(free, solution.play_low, rest), np.where(free, solution.play_high, rest)
 
 
 def inverse_of(
@@ -231,7 +231,7 @@ def inverse_of(
     best: Inverse | None = None
     for samples in _SAMPLES:
         crank: Array = np.arange(float(pitches * samples)) * (period / (pitches * samples))
-        total(crank.size * sum(one.size for both in loads for one in both))
+        total(crank.size * sum(torques.size for both in loads for torques in both))
         averaged = _averaged(*_inverses(models, loads, crank, period, progress), torque_accuracy)
         budget, before = residual, math.inf if best is None else best.residual
         for _ in range(_TRIES):
@@ -254,9 +254,9 @@ def _inverses(
     period: float,
     progress: Callable[[int], None],
 ) -> tuple[Array, Array]:
-    """Solve the drive: torques of both directions, zero in each, and deviations there over ideal crank angles.
+    """Solve the drive: torques of both directions, zero in each, and transmission errors over ideal crank angles.
 
-    Their shape is (temperatures, torques, angles).
+    The errors are of shape (temperatures, torques, angles).
     """
     torque = float(loads[0][0][-1]) * np.linspace(0.0, 1.0, _TORQUES) ** 2
     rows = []
@@ -264,14 +264,14 @@ def _inverses(
         for sign, chosen, end in zip((-1.0, 1.0), of_model, model.ends(crank), strict=True):
             exact = np.vstack([end, model.solved(sign * chosen, crank, progress)])
             inverted = np.array([_inverted(model.pair.ratio, period, crank, x) for x in exact])
-            found = PchipInterpolator(np.sqrt(np.append(0.0, chosen)), inverted)(np.sqrt(torque))
-            rows.append(found[::-1] if sign < 0.0 else found)
+            curves = PchipInterpolator(np.sqrt(np.append(0.0, chosen)), inverted)(np.sqrt(torque))
+            rows.append(curves[::-1] if sign < 0.0 else curves)
     both = np.concatenate([-torque[::-1], torque])
     return both, np.array(rows).reshape(len(models), both.size, crank.size)
 
 
 class _Averaged(NamedTuple):
-    """Over torques (torques,): the mean deviation, its part that depends on the crank angle, and its variance.
+    """Over torques (torques,): the mean transmission error, its part that depends on the crank angle, and its variance.
 
     Shapes (temperatures, torques), (temperatures, torques, angles) and (temperatures, torques).
     """
@@ -283,7 +283,7 @@ class _Averaged(NamedTuple):
 
 
 def _averaged(torque: Array, whole: Array, torque_accuracy: float) -> _Averaged:
-    """Average deviations, shape (temperatures, torques, angles), over the torque's accuracy."""
+    """Average transmission errors, shape (temperatures, torques, angles), over the torque's accuracy."""
     mixing = _normal_weights(torque, torque_accuracy)
     blurred = np.einsum("qt,mta->mqa", mixing, whole, optimize=True)
     spread = (np.einsum("qt,mta->mqa", mixing, whole**2, optimize=True) - blurred**2).mean(axis=-1)
@@ -340,12 +340,13 @@ def _chosen_loads(model: Model, sign: float, largest: float, crank: Array, allow
     return largest * np.array(sorted(known))
 
 
-def _inverted(ratio: float, period: float, crank: Array, deviation: Array) -> Array:
-    """Convert deviations at crank angles to those at the same ideal crank angles."""
-    ideal = crank + ratio * deviation
+def _inverted(ratio: float, period: float, crank: Array, transmission_error: Array) -> Array:
+    """Convert transmission errors at crank angles to those at the same ideal crank angles."""
+    ideal = crank + ratio * transmission_error
     if np.any(np.diff(ideal) <= 0.0):
         raise edge.InputError("the output does not always go on as the crank turns: no motion inverts this drive.")
-    over = CubicSpline(np.append(ideal, ideal[0] + period), np.append(deviation, deviation[0]), bc_type="periodic")
+    periodic = np.append(transmission_error, transmission_error[0])
+    over = CubicSpline(np.append(ideal, ideal[0] + period), periodic, bc_type="periodic")
     return np.asarray(over(crank))
 
 
@@ -368,17 +369,17 @@ def _normal_weights(torque: Array, accuracy: float) -> Array:
     return weights
 
 
-def _low_rank(deviation: Array, allowed: float) -> tuple[Array, Array]:
+def _low_rank(ripple: Array, allowed: float) -> tuple[Array, Array]:
     """Return functions of the angle (functions, angles) and their shares in rows, as few as needed."""
-    rows = deviation.reshape(-1, deviation.shape[-1])
+    rows = ripple.reshape(-1, ripple.shape[-1])
     values, vectors = np.linalg.eigh(rows @ rows.T)
-    vectors, left = vectors[:, ::-1], rows.copy()
+    vectors, residual = vectors[:, ::-1], rows.copy()
     rank = 0
-    while rank < len(values) and np.abs(left).max() > allowed:
-        left -= np.outer(vectors[:, rank], vectors[:, rank] @ rows)
+    while rank < len(values) and np.abs(residual).max() > allowed:
+        residual -= np.outer(vectors[:, rank], vectors[:, rank] @ rows)
         rank += 1
     share = vectors[:, :rank]
-    return share.T @ rows, share.reshape(*deviation.shape[:-1], rank)
+    return share.T @ rows, share.reshape(*ripple.shape[:-1], rank)
 
 
 class _Spline(NamedTuple):
@@ -386,7 +387,7 @@ class _Spline(NamedTuple):
 
     steps: NDArray[np.int8 | np.int16]
     scale: float
-    off: Array
+    error: Array
 
 
 def _splines(functions: Array, share: Array, allowed: float) -> tuple[tuple[NDArray[np.int8 | np.int16], ...], Array]:
@@ -418,28 +419,30 @@ def _splines(functions: Array, share: Array, allowed: float) -> tuple[tuple[NDAr
         counts.append(min(size, math.ceil(counts[-1] * _FINER)))
     each, best = allowed, None
     for _ in range(_SPLINE_TRIES):
-        made = []
+        splines = []
         for k in range(len(functions)):
-            place = bisect.bisect_left(
-                range(len(counts) - 1), True, key=lambda i: np.abs(spline(k, counts[i]).off).max() * largest[k] <= each
+            number = bisect.bisect_left(
+                range(len(counts) - 1),
+                True,
+                key=lambda i: np.abs(spline(k, counts[i]).error).max() * largest[k] <= each,
             )
-            made.append(spline(k, counts[place]))
-        off = float(np.abs(rows @ np.array([one.off for one in made])).max()) if made else 0.0
-        if off <= allowed or best is None:
-            best = made
-        if off <= allowed:
+            splines.append(spline(k, counts[number]))
+        error = float(np.abs(rows @ np.array([s.error for s in splines])).max()) if splines else 0.0
+        if error <= allowed or best is None:
+            best = splines
+        if error <= allowed:
             break
-        each *= max(0.5, 0.9 * allowed / off)
+        each *= max(0.5, 0.9 * allowed / error)
     else:
-        best = made
-    return tuple(one.steps for one in best), np.array([one.scale for one in best])
+        best = splines
+    return tuple(s.steps for s in best), np.array([s.scale for s in best])
 
 
 def _nodes(torque: Array, functions: Array, allowed: float) -> NDArray[np.intp]:
     """Return the torques between which functions (temperatures, torques, functions) may be linear."""
-    kept = np.flatnonzero(np.append(np.diff(torque) > 0.0, True))  # one of both zeros, where all is alike
-    chosen = [0, kept.size - 1]
-    at, values = torque[kept], functions[:, kept]
+    distinct = np.flatnonzero(np.append(np.diff(torque) > 0.0, True))  # one of both zeros, where all is alike
+    chosen = [0, distinct.size - 1]
+    at, values = torque[distinct], functions[:, distinct]
     while True:
         chosen.sort()
         cell = np.clip(np.searchsorted(at[chosen], at, "right") - 1, 0, len(chosen) - 2)
@@ -447,7 +450,7 @@ def _nodes(torque: Array, functions: Array, allowed: float) -> NDArray[np.intp]:
         share = ((at - at[low]) / (at[high] - at[low]))[None, :, None]
         off = np.abs((1.0 - share) * values[:, low] + share * values[:, high] - values).sum(axis=-1).max(axis=0)
         if off.max() <= allowed:
-            return kept[chosen]
+            return distinct[chosen]
         chosen.append(int(off.argmax()))
 
 
@@ -462,6 +465,6 @@ def _largest_error(table: Inverse, models: Sequence[Model], accuracy: float) -> 
         crank = np.sort(random.uniform(0.0, table.period, _PROBED[1]))
         exact = model.solved((torque[:, None] + accuracy * points).ravel(), crank).reshape(-1, _POINTS, crank.size)
         mean = np.einsum("tpa,p->ta", exact, weights / weights.sum())
-        found = table.at(crank + model.pair.ratio * mean, torque[:, None], model.temperature)
-        worst = max(worst, float(np.abs(found[0] + found[1] - mean).max()))
+        mean_of_table, ripple = table.at(crank + model.pair.ratio * mean, torque[:, None], model.temperature)
+        worst = max(worst, float(np.abs(mean_of_table + ripple - mean).max()))
     return worst

@@ -148,15 +148,10 @@ class Forecast:
         edge.InputError
             If the wear was not computed up to the last recording.
         """
-        after, prior, life, turning = (
-            self.posterior,
-            self.posterior.prior,
-            self.posterior.life,
-            self.crank_turns_per_second,
-        )
-        surface, factors = self.drive.surface, after.factor(INTERVAL)
-        median, (low, high) = factors[1], np.clip(factors[[0, 2]] / factors[1], (0.0, 1.0), (1.0, np.inf))
-        turns = life.dose / (prior.coefficient * median)
+        surface, life, turning = self.drive.surface, self.posterior.life, self.crank_turns_per_second
+        coefficients = self.coefficient(INTERVAL)
+        low, high = np.clip(coefficients[[0, 2]] / coefficients[1], (0.0, 1.0), (1.0, np.inf))
+        turns = life.dose / coefficients[1]
         largest, growth = min(self.ages[-1], turns[-1] / (turning * high)), float(self.growth())
         if growth > 0.0:
             largest = min(largest, largest_growth(surface.pair, self.bearing) / growth)
@@ -249,10 +244,15 @@ def forecast(
     now = max((m.crank_turns for m in measured), default=0.0) / per_second
     ages, bearing, limits = np.linspace(0.0, _end(until, now), _AGES), history.bearing, history.limits.stated()
     turns = ages * per_second
-    prior = Prior(law.coefficient or 1.0, history.coefficient_factor, scatter=history.load_scatter)
-    prior = dataclasses.replace(prior, period=history.load_period * per_second)
+    prior = Prior(
+        law.coefficient or 1.0,
+        history.coefficient_factor,
+        scatter=history.load_scatter,
+        period=history.load_period * per_second,
+    )
+    name = ""
     if bearing is not None:
-        growth = bearing.clearance_growth / bearing.within / per_second
+        name, growth = bearing.name, bearing.clearance_growth / bearing.within / per_second
         prior = dataclasses.replace(prior, growth=growth, growth_factor=bearing.factor)
     if life is None:
         life = life_figures(
@@ -261,7 +261,7 @@ def forecast(
             loads,
             prior.coefficient * prior.coefficient_factor**_BEYOND * turns[-1],
             growth=max([*limits.values(), *(m.value for m in measured)], default=_ROOM / edge.ARCSEC),
-            bearing=None if bearing is None else bearing.name,
+            bearing=name,
             clearance=prior.growth * prior.growth_factor**_BEYOND * turns[-1],
             workers=workers,
             progress=lambda share: progress(0.9 * share),
@@ -285,7 +285,7 @@ def forecast(
         _alarm(np.array([m.crank_turns for m in measured]) / per_second, score),
         _notes(after, turns[-1]),
         drive,
-        "" if bearing is None else bearing.name,
+        name,
     )
 
 

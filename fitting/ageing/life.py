@@ -123,7 +123,7 @@ def life_figures(
     dose: float,
     *,
     growth: float = math.inf,
-    bearing: str | None = None,
+    bearing: str = "",
     clearance: float = 0.0,
     workers: int | None = None,
     progress: Callable[[float], None] = lambda share: None,
@@ -144,7 +144,8 @@ def life_figures(
     growth
         The life ends also where lost motion has grown by so much, rad, or where no contacts balance the loads.
     bearing, clearance
-        Which bearing of `[supports]` wears (`supports.BEARINGS`), and how far its diametral clearance grows at most, m.
+        Which bearing of `[supports]` wears (`supports.BEARINGS`), "" for none, and how far its diametral clearance
+        grows at most, m.
     progress
         Called with the share done, 0 to 1.
 
@@ -161,7 +162,7 @@ def life_figures(
         raise edge.InputError("rated_torque is missing; the lost motion is taken at 3 % of it.")
     if not any(load.torque for load in loads):
         raise edge.ArgumentError("torque", "no load wears the drive", "0 N*m")
-    if bearing is not None:
+    if bearing:
         with_clearance(pair, bearing, 0.0)  # refused before anything is computed
     scale = law.coefficient or 1.0
     rigid = pair if pair.supports is None else pair.nominal.replace(supports=None, bodies=None)
@@ -179,10 +180,10 @@ def life_figures(
     ]
     nodes, new = np.zeros(1), life.curves[0]
     values = np.array([[[*means_of(curves).values()]] for curves in life.curves])  # (states, clearances, figures)
-    if bearing is not None:
+    if bearing:
         nodes = np.linspace(0.0, min(clearance, largest_growth(pair, bearing)), _CLEARANCES)
     if pair.supports is not None:
-        pairs = [pair if bearing is None else with_clearance(pair, bearing, float(more)) for more in nodes]
+        pairs = [with_clearance(pair, bearing, float(more)) if bearing else pair for more in nodes]
         new = figures_of(_on(pairs[0], surfaces[0]), life.heaviest_torque, workers)
         chosen = np.unique(np.linspace(0, len(surfaces) - 1, _MOVED).round().astype(int))
         loaded = _on_bearings(pairs, [surfaces[k] for k in chosen], life.heaviest_torque, workers)

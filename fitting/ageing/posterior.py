@@ -112,8 +112,8 @@ class Posterior:
     def factor(self, probability: ArrayLike, number: int = 0) -> Array:
         """Return quantiles of a factor, of k_0 (0) or of the clearance's growth (1) over their stated medians."""
         # Nodes in a row of the grid are one node of this factor.
-        values, place = np.unique(self.logs[:, number].round(9), return_inverse=True)
-        weight = np.bincount(place, self.weight)
+        values, index = np.unique(self.logs[:, number].round(9), return_inverse=True)
+        weight = np.bincount(index, self.weight)
         below = np.cumsum(weight) - 0.5 * weight
         return np.asarray(np.exp(np.interp(np.asarray(probability, dtype=float), below, values)))
 
@@ -165,8 +165,8 @@ def posterior(life: LifeFigures, prior: Prior, measured: Sequence[Measured]) -> 
     for _ in range(_MOVES):
         logs = middle + grid @ axes.T
         density = -0.5 * ((logs / spread) ** 2).sum(axis=1) + _likelihood(life, prior, logs, measured)
-        kept = density > density.max() - _SMALLEST
-        logs, weight = logs[kept], np.exp(density[kept] - logsumexp(density[kept]))
+        likely = density > density.max() - _SMALLEST
+        logs, weight = logs[likely], np.exp(density[likely] - logsumexp(density[likely]))
         middle = weight @ logs
         # A maximum narrower than a cell of the grid has at least its size.
         cells = np.vstack([np.sqrt(weight)[:, None] * (logs - middle), (along[1] - along[0]) * axes.T])

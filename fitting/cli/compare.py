@@ -36,13 +36,13 @@ def compare(
         for file in (before, after)
     )
     with commands.status() as progress:
-        found = fitting.compare(first, second, nominal, ratio=ratio, rated_torque=rated_torque, progress=progress)
+        comparison = fitting.compare(first, second, nominal, ratio=ratio, rated_torque=rated_torque, progress=progress)
     if plot is not None:
-        fitting.plot(found, plot)
+        fitting.plot(comparison, plot)
     if as_json:
-        commands.print_json(comparison_json(found))
+        commands.print_json(comparison_json(comparison))
         return
     moved = {True: "yes", False: "no", None: "unknown"}
-    rows = [[change.name, *change.in_field_units(), moved[change.moved]] for change in found.changes]
+    rows = [[change.name, *change.in_field_units(), moved[change.moved]] for change in comparison.changes]
     commands.print_table("Changes", ["figure", "A", "B", "B - A", "± 95 %", "unit", "changed"], rows)
-    options.print_notes(found.notes)
+    options.print_notes(comparison.notes)

@@ -43,19 +43,19 @@ def curve(
         commands.print_json(curves_json(curves))
         return
     rows = []
-    for one in curves:
-        error = one.transmission_error * ARCSEC
+    for measured in curves:
+        error = measured.transmission_error * ARCSEC
         rows.append(
             [
-                Path(one.source).name,
-                label_of(one),
-                str(one.input_angle.size),
-                f"{one.sample_count.mean():.1f}",
+                Path(measured.source).name,
+                label_of(measured),
+                str(measured.input_angle.size),
+                f"{measured.sample_count.mean():.1f}",
                 f"{error.mean():.3f}",
                 f"{np.ptp(error):.3f}",
-                f"{noise_of(one) * ARCSEC:.3f}",
+                f"{noise_of(measured) * ARCSEC:.3f}",
             ]
         )
     columns = ["recording", "load", "points", "turns", "mean", "peak-peak", "noise"]
     commands.print_table("Transmission error [arcsec]", columns, rows)
-    options.print_notes(note for one in curves for note in one.notes)
+    options.print_notes(note for measured in curves for note in measured.notes)

@@ -44,8 +44,8 @@ def ensemble(
     except OSError as problem:
         raise edge.ArgumentError("output", f"the folder can't be created: {problem.strerror}", output) from None
     with commands.progress("surfaces", count) as written:
-        for number, one in enumerate(drawn):
-            one.write(output / f"{surface.stem}-{number:04d}.nc")
+        for number, member in enumerate(drawn):
+            member.write(output / f"{surface.stem}-{number:04d}.nc")
             written(1.0)
     if plot is not None and load is not None:
         plot_band(identified, drawn, load, plot)

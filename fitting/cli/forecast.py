@@ -60,12 +60,14 @@ def forecast(
     from fitting.ageing.forecast import forecast as forecast_of
     from fitting.ageing.history import measured, read_history
 
-    history, law, made = read_history(history_file), read_wear_law(wear_file), read_drive(drive, surface)
+    history, law, new_drive = read_history(history_file), read_wear_law(wear_file), read_drive(drive, surface)
     with commands.status() as step:
-        figures = measured(history, made, history_file.parent, mapping=mapping, source=str(history_file), progress=step)
+        figures = measured(
+            history, new_drive, history_file.parent, mapping=mapping, source=str(history_file), progress=step
+        )
     with commands.Bar("forecast, percent", 100.0) as bar:
         result = forecast_of(
-            made,
+            new_drive,
             law,
             history,
             figures,

@@ -62,34 +62,34 @@ def friction(
     from fitting.figures.friction import friction_json
 
     options.check_ratio(drive, ratio)
-    made = None if drive is None else read_drive(drive)
-    nominal = ratio if made is None else made.ratio
+    stated_drive = None if drive is None else read_drive(drive)
+    nominal = ratio if stated_drive is None else stated_drive.ratio
     with commands.status() as progress:
-        found = fitting.friction(
+        fit = fitting.friction(
             fitting.read_recordings(files, mapping),
             ratio=nominal,
             loop=loop,
             progress=progress,
             speeds=commands.separated(speeds),
         )
-        if made is not None and made.pair.losses is not None and made.pair.supports is not None:
-            found = _with_coefficients(found, made, loop)
+        if stated_drive is not None and stated_drive.pair.losses is not None and stated_drive.pair.supports is not None:
+            fit = _with_coefficients(fit, stated_drive, loop)
     if plot is not None:
-        fitting.plot(found, plot)
+        fitting.plot(fit, plot)
     if output is not None:
-        found.write(output)
+        fit.write(output)
     if as_json:
-        commands.print_json(friction_json(found))
+        commands.print_json(friction_json(fit))
         return
-    every = {**found.figures, **found.coefficients}
-    rows = [[name, *in_field_units(one), f"{one.count:.4g} {one.counted}"] for name, one in every.items()]
-    low, high = found.speeds
+    every = {**fit.figures, **fit.coefficients}
+    rows = [[name, *in_field_units(figure), f"{figure.count:.4g} {figure.counted}"] for name, figure in every.items()]
+    low, high = fit.speeds
     title = f"Friction at the output, {low:.4g} to {high:.4g} rad/s"
     commands.print_table(title, ["figure", "value", "± 95 %", "unit", "of"], rows)
-    for name, figure in found.figures.items():
+    for name, figure in fit.figures.items():
         if figure.remark:
             typer.echo(f"{name}: {figure.remark}.")
-    options.print_notes(found.notes)
+    options.print_notes(fit.notes)
 
 
 def _with_coefficients(friction_fit: FrictionFit, drive: Drive, loop: Path | None) -> FrictionFit:

@@ -120,10 +120,10 @@ def _print(result: Identification) -> None:
     commands.print_table(title, ["error", "identified", "95 % interval", "unit"], rows)
     commands.print_table("Held fixed, because the data cannot resolve them", ["error", "why"], held)
     if result.held_out is not None:
-        kept = result.held_out
+        prediction = result.held_out
         typer.echo(
-            f"Held out from a first fit, which predicts it: {kept.loads}: residual {kept.residual * ARCSEC:.3f}″ rms, "
-            f"noise {kept.noise * ARCSEC:.3f}″."
+            f"Held out from a first fit, which predicts it: {prediction.loads}: residual "
+            f"{prediction.residual * ARCSEC:.3f}″ rms, noise {prediction.noise * ARCSEC:.3f}″."
         )
     scatter = ", ".join(f"{n} {v * 1e6:.2f} µm" for n, v in result.scatter.items())
     typer.echo(

@@ -29,17 +29,17 @@ def inspect(
     from fitting.readers.first_samples import INSPECTED
     from fitting.readers.inspection import inspection_json
 
-    found = fitting.inspect(file, dbc)
+    inspection = fitting.inspect(file, dbc)
     if output is not None:
-        found.write(output)
+        inspection.write(output)
     if plot is not None:
-        fitting.plot(found, plot)
+        fitting.plot(inspection, plot)
     if as_json:
-        commands.print_json(inspection_json(found))
+        commands.print_json(inspection_json(inspection))
         return
-    roles = {one.channel.name: role for role, one in found.roles.items()}
-    if len(found.runs) > 1:
-        for run in found.runs:
+    roles = {look.channel.name: role for role, look in inspection.roles.items()}
+    if len(inspection.runs) > 1:
+        for run in inspection.runs:
             roles[run.output_angle.channel.name] = "output_angle"
             roles[run.transmission_error.channel.name] = f"transmission_error, {run.name}"
     rows = [
@@ -50,11 +50,11 @@ def inspect(
             *(f"{value:.6g}" for value in o.extremes),
             roles.get(o.channel.name, ""),
         ]
-        for o in found.looks
+        for o in inspection.looks
     ]
-    rows += [[name, "", "", "", "", "(text)"] for name in found.file.texts]
+    rows += [[name, "", "", "", "", "(text)"] for name in inspection.file.texts]
     commands.print_table(file.name, ["channel", "unit", "samples", "smallest", "largest", "proposed as"], rows)
-    if max(look.values.size for look in found.looks) >= INSPECTED:
+    if max(look.values.size for look in inspection.looks) >= INSPECTED:
         typer.echo(f"Based on the first {INSPECTED} samples.")
-    typer.echo("\n# A proposed mapping; check it and use it with --mapping.\n" + found.text)
-    options.print_notes(found.file.problems)
+    typer.echo("\n# A proposed mapping; check it and use it with --mapping.\n" + inspection.text)
+    options.print_notes(inspection.file.problems)

@@ -37,19 +37,19 @@ def maps(
     options.check_report(report)
     nominal = ratio if drive is None else read_drive(drive)
     with commands.status() as progress:
-        found = fitting.maps(fitting.read_recordings(files, mapping), nominal, progress=progress)
+        dataset = fitting.maps(fitting.read_recordings(files, mapping), nominal, progress=progress)
     if output is not None:
-        write_maps(found, output)
+        write_maps(dataset, output)
     if report is not None:
-        fitting.report(found, report)
+        fitting.report(dataset, report)
     if plot is not None:
-        fitting.plot(found, plot)
-    notes = [n for n in found.attrs["notes"].split("\n") if n]
+        fitting.plot(dataset, plot)
+    notes = [n for n in dataset.attrs["notes"].split("\n") if n]
     if as_json:
-        numbers = {str(name): values.values for name, values in {**found.coords, **found.data_vars}.items()}
+        numbers = {str(name): values.values for name, values in {**dataset.coords, **dataset.data_vars}.items()}
         commands.print_json({**numbers, "notes": notes})
         return
-    sizes = {name: found.sizes[name] for name in ("torque", "speed", "temperature")}
+    sizes = {name: dataset.sizes[name] for name in ("torque", "speed", "temperature")}
     axes = ", ".join(f"{size} {name}{'s' * (size != 1)}" for name, size in sizes.items())
-    typer.echo(f"{found.attrs['curves']} curves over {axes}.")
+    typer.echo(f"{dataset.attrs['curves']} curves over {axes}.")
     options.print_notes(notes)

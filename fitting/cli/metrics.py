@@ -33,7 +33,7 @@ def metrics(
     nominal = None if drive is None else read_drive(drive)
     recordings = fitting.read_recordings(files, mapping)
     with commands.status() as progress:
-        found = fitting.metrics(
+        figures = fitting.metrics(
             recordings,
             nominal,
             ratio=ratio,
@@ -43,7 +43,7 @@ def metrics(
             stiffness_limits=commands.separated(stiffness_limits),
         )
     if plot is not None:
-        fitting.plot(found, plot)
+        fitting.plot(figures, plot)
     if output is not None:
-        found.write(output)
-    options.finish(found, as_json=as_json)
+        figures.write(output)
+    options.finish(figures, as_json=as_json)

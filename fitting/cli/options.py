@@ -95,8 +95,8 @@ def finish(figures: Figures, *, as_json: bool) -> None:
     rows, remarks = [], []
     for name, figure in figures.shown.items():
         remarks += [f"{name}: {figure.remark}."] if figure.remark else []
-        for label, one in [(name, figure), *((f"  {part}", one) for part, one in figure.shown.items())]:
-            rows.append([label, *in_field_units(one), f"{one.count:.4g} {one.counted}"])
+        for label, shown in [(name, figure), *((f"  {part}", shown) for part, shown in figure.shown.items())]:
+            rows.append([label, *in_field_units(shown), f"{shown.count:.4g} {shown.counted}"])
     if as_json:
         commands.print_json(figures_json(figures))
     elif rows:
@@ -106,7 +106,7 @@ def finish(figures: Figures, *, as_json: bool) -> None:
         if len(figures.loop_groups) > 1:
             commands.print_table("Loops by size and position", GROUPS_HEAD, group_rows(figures.loop_groups))
         if figures.play_range is not None:
-            low, high = ("{} ± {} {}".format(*in_field_units(one)) for one in figures.play_range)
+            low, high = ("{} ± {} {}".format(*in_field_units(end)) for end in figures.play_range)
             typer.echo(f"Play over the positions of the loops, without friction: {low} to {high}.")
         if figures.orders:
             commands.print_table(

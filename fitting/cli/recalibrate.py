@@ -132,8 +132,9 @@ def _lost_motion(text: str) -> LostMotion:
     value, _, rest = text.replace("±", "+-").partition("+-")
     spread, _, torque = rest.partition(" at ")
     try:
-        found = [edge.parse_quantity(one.strip(), si) for one, si in ((value, "rad"), (spread, "rad"), (torque, "N*m"))]
-        return LostMotion(found[0], found[1] / NORMAL, found[2])
+        parts = ((value, "rad"), (spread, "rad"), (torque, "N*m"))
+        numbers = [edge.parse_quantity(part.strip(), si) for part, si in parts]
+        return LostMotion(numbers[0], numbers[1] / NORMAL, numbers[2])
     except (ValueError, edge.InputError):
         raise edge.ArgumentError(
             "lost_motion", 'write value, half interval and torque, such as "58 arcsec +- 6 arcsec at 5 N*m"', text
@@ -148,7 +149,7 @@ def _print(result: Recalibration) -> None:
     rows = []
     for name, label in _NAMES.items():
         if name in result.figures:
-            was, now = (one.figures[name] for one in result.history[-2:])
+            was, now = (dated.figures[name] for dated in result.history[-2:])
             low, high = (end * ARCSEC for end in now.interval)
             rows.append([label, f"{was.value * ARCSEC:.2f}", f"{now.value * ARCSEC:.2f}", f"{low:.2f} … {high:.2f}"])
     commands.print_table("Figures [arcsec]", ["figure", "last date", "now", "95 % interval"], rows)
@@ -156,10 +157,8 @@ def _print(result: Recalibration) -> None:
         return
     if result.better_known:
         more = len(result.better_known) - _SHOWN
-        beside = f" and {more} more, see --output" if more > 0 else ""
-        typer.echo(
-            f"Now known more accurately (standard deviations): {'; '.join(result.better_known[:_SHOWN])}{beside}."
-        )
+        rest = f" and {more} more, see --output" if more > 0 else ""
+        typer.echo(f"Now known more accurately (standard deviations): {'; '.join(result.better_known[:_SHOWN])}{rest}.")
     typer.echo(
         f"The measurements determine {result.told.size - result.remaining} combinations of errors; "
         f"{result.remaining} keep their prior uncertainty."

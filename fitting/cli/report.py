@@ -39,7 +39,7 @@ def report(
     nominal = None if drive is None else read_drive(drive)
     recordings = fitting.read_recordings(files, mapping)
     with commands.status() as progress:
-        found = fitting.metrics(
+        figures = fitting.metrics(
             recordings,
             nominal,
             ratio=ratio,
@@ -48,5 +48,5 @@ def report(
             progress=progress,
             stiffness_limits=commands.separated(stiffness_limits),
         )
-    fitting.report(found, output, certificate=certificate)
-    options.finish(found, as_json=as_json)
+    fitting.report(figures, output, certificate=certificate)
+    options.finish(figures, as_json=as_json)

@@ -32,23 +32,23 @@ def angular_transmission_error(curve: Curve, orders: Spectrum, runaway: float = 
         Random seed of the noise.
     """
     rng = np.random.default_rng(seed)
-    kept = np.where(orders.significant, orders.coefficient, 0.0)
+    significant_part = np.where(orders.significant, orders.coefficient, 0.0)
     highest = int(np.flatnonzero(orders.significant).max(initial=1))
     points = 1 << max(10, math.ceil(math.log2(64 * highest)))
-    found = float(range_of(kept[: highest + 1], points)[0])
+    largest_range = float(range_of(significant_part[: highest + 1], points)[0])
     drawn = np.empty(_REDRAWN)
     step = max(1, (1 << 22) // points)
     for begin in range(0, _REDRAWN, step):
         rows = min(step, _REDRAWN - begin)
         noise = rng.normal(size=(rows, 2, highest + 1)) * (orders.floor[: highest + 1] / math.sqrt(2.0))
-        noisy = kept[: highest + 1] + noise[:, 0] + 1j * noise[:, 1]
+        noisy = significant_part[: highest + 1] + noise[:, 0] + 1j * noise[:, 1]
         out = significant(noisy, orders.floor[: highest + 1], orders.floor.size)
         drawn[begin : begin + rows] = range_of(np.where(out, noisy, 0.0), points)
-    bias = float(drawn.mean()) - found
+    bias = float(drawn.mean()) - largest_range
     uncertainty = math.hypot(1.96 * float(drawn.std(ddof=1)), runaway / max(curve.turns, 1.0))
     name = "angular_transmission_error"
     return Figure(
-        max(found - bias, 0.0),
+        max(largest_range - bias, 0.0),
         uncertainty,
         UNITS[name],
         DEFINITIONS[name],

@@ -134,7 +134,7 @@ class _Wave:
 def _waves(encoder: Encoder | None, name: str) -> list[_Wave]:
     if encoder is None:
         return []
-    found = [
+    waves = [
         _Wave(
             f"{name}, accuracy",
             encoder.distribution,
@@ -150,13 +150,13 @@ def _waves(encoder: Encoder | None, name: str) -> list[_Wave]:
             encoder.periods_per_turn or 1,
         ),
     ]
-    return [one for one in found if one.standard > 0.0]
+    return [wave for wave in waves if wave.standard > 0.0]
 
 
 def _loop_values(data: Sequence[LoopData]) -> dict[str, float]:
-    found = [loop_figures(one)[0] for one in data]
-    names = {name for figures in found for name in figures}
-    return {name: pooled([figures[name] for figures in found if name in figures]).value for name in names}
+    of_recordings = [loop_figures(loops)[0] for loops in data]
+    names = {name for figures in of_recordings for name in figures}
+    return {name: pooled([figures[name] for figures in of_recordings if name in figures]).value for name in names}
 
 
 def _thinned(data: LoopData, step: int) -> LoopData:
@@ -279,15 +279,15 @@ def _of_orders(
 ) -> list[Contribution]:
     """Return the contributions of the encoders to an angular transmission error, for the run with the largest one."""
     largest = next(label for label, run in figure.runs.items() if run.value == figure.value)
-    labelled = [(run_label(one.source, c), c) for one in surveyed for c in one.curves]
+    labelled = [(run_label(recording.source, c), c) for recording in surveyed for c in recording.curves]
     (curve, orders), *_ = (
         (c, s) for (label, c), s in zip(labelled, spectra, strict=True) if s is not None and label == largest
     )
     left_out = RIG_ORDERS if name == "angular_transmission_error_without_rig" else ()
-    kept = without_orders(orders, left_out)
-    coefficient: NDArray[np.complex128] = np.where(kept.significant, kept.coefficient, 0.0)
+    remaining = without_orders(orders, left_out)
+    coefficient: NDArray[np.complex128] = np.where(remaining.significant, remaining.coefficient, 0.0)
     points = 1 << max(12, math.ceil(math.log2(8 * coefficient.size)))
-    nominal, found = float(range_of(coefficient, points)[0]), []
+    nominal, contributions = float(range_of(coefficient, points)[0]), []
     for shaft, encoder, scale, turns in (
         ("output", instruments.output_encoder, 1.0, 1.0),
         ("input", instruments.input_encoder, 1.0 / abs(curve.ratio), abs(curve.ratio)),
@@ -304,15 +304,17 @@ def _of_orders(
                     step[order] = scale * wave.standard * part
                     changes = [float(range_of(coefficient + sign * step, points)[0]) - nominal for sign in (1.0, -1.0)]
                     moved = math.hypot(moved, max(map(abs, changes)))
-            found.append(Contribution(wave.source, "B", wave.distribution, wave.standard, "rad", moved / wave.standard))
+            contributions.append(
+                Contribution(wave.source, "B", wave.distribution, wave.standard, "rad", moved / wave.standard)
+            )
         if encoder is not None and encoder.resolution > 0.0:
             step_size = standard_uncertainty(0.5 * encoder.resolution, "rectangular")
-            found.append(
+            contributions.append(
                 Contribution(
                     f"{shaft} encoder, resolution", "B", "rectangular", step_size, "rad", scale * _READINGS[name]
                 )
             )
-    return found
+    return contributions
 
 
 def _of_start(name: str, figure: Figure, sensor: TorqueSensor | None) -> list[Contribution]:

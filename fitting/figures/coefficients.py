@@ -100,8 +100,8 @@ def loss_coefficients(fit: FrictionFit, drive: DriveValue, loop: str | os.PathLi
     figures, notes = _coefficients(fit, drive)
     if loop is not None:
         moved = with_coefficients(drive, {name: figure.value for name, figure in figures.items()})
-        at_rest, said = _static_of(moved, loop)
-        figures, notes = figures | at_rest, notes + said
+        at_rest, remarks = _static_of(moved, loop)
+        figures, notes = figures | at_rest, notes + remarks
     return dataclasses.replace(fit, coefficients=figures, notes=(*fit.notes, *notes))
 
 

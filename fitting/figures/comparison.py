@@ -53,7 +53,7 @@ class Change:
         """Return both values, their difference, its uncertainty and the unit, in field units."""
         larger = dataclasses.replace(self.after, value=max(abs(self.before.value), abs(self.after.value)))
         change = dataclasses.replace(self.before, value=self.difference, uncertainty=self.uncertainty)
-        before, after = (in_field_units(one, like=larger)[0] for one in (self.before, self.after))
+        before, after = (in_field_units(figure, like=larger)[0] for figure in (self.before, self.after))
         return before, after, *in_field_units(change, like=larger)
 
 
@@ -127,25 +127,25 @@ def changes_between(before: Mapping[str, Figure], after: Mapping[str, Figure]) -
     changes: list[Change] = []
     notes = []
     for name in dict.fromkeys((*before, *after)):
-        one, other = before.get(name), after.get(name)
-        if one is None or other is None:
-            notes.append(f"{name}: only {'the second' if one is None else 'the first'} has it.")
+        first, second = before.get(name), after.get(name)
+        if first is None or second is None:
+            notes.append(f"{name}: only {'the second' if first is None else 'the first'} has it.")
             continue
-        if not _same_interval(one, other, _ALIKE if name.startswith(FRICTION_FREE) else _SAME):
+        if not _same_interval(first, second, _ALIKE if name.startswith(FRICTION_FREE) else _SAME):
             notes.append(
-                f"{name}: it was evaluated over {_interval(one)} in the first and {_interval(other)} in the second; "
+                f"{name}: it was evaluated over {_interval(first)} in the first and {_interval(second)} in the second; "
                 "use the same rated torque for both."
             )
             continue
-        changes.append(Change(name, one, other))
-        changes += [Change(f"{name}.{p}", one.parts[p], other.parts[p]) for p in one.parts if p in other.parts]
+        changes.append(Change(name, first, second))
+        changes += [Change(f"{name}.{p}", first.parts[p], second.parts[p]) for p in first.parts if p in second.parts]
     return changes, notes
 
 
-def _same_interval(one: Figure, other: Figure, tolerance: float) -> bool:
-    if one.interval is None or other.interval is None:
-        return one.interval == other.interval
-    return all(math.isclose(a, b, rel_tol=tolerance) for a, b in zip(one.interval, other.interval, strict=True))
+def _same_interval(first: Figure, second: Figure, tolerance: float) -> bool:
+    if first.interval is None or second.interval is None:
+        return first.interval == second.interval
+    return all(math.isclose(a, b, rel_tol=tolerance) for a, b in zip(first.interval, second.interval, strict=True))
 
 
 def _interval(figure: Figure) -> str:
@@ -181,8 +181,12 @@ def read_figures(path: str | os.PathLike[str]) -> dict[str, Figure]:
     """
     data = edge.json_table(path, FORMAT, "figures")
     with edge.parsed_by_others(path, "a figure is incomplete or not a number"):
-        free = {f"{FRICTION_FREE}{name}": one for name, one in data.pop("friction_free", {}).items()}
-        return {n: _figure(one) for n, one in (data | free).items() if isinstance(one, dict) and n not in _SOURCES}
+        free = {f"{FRICTION_FREE}{name}": content for name, content in data.pop("friction_free", {}).items()}
+        return {
+            n: _figure(content)
+            for n, content in (data | free).items()
+            if isinstance(content, dict) and n not in _SOURCES
+        }
 
 
 _SOURCES = ("data", "implausible", "locked")  # tables of the file that are not figures

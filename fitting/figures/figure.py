@@ -97,7 +97,7 @@ class Figure:
             for name, segment in self.segments.items()
             if segment.interval is not None
         }
-        return {**self.parts, **between, **{Path(run).name: one for run, one in self.runs.items()}}
+        return {**self.parts, **between, **{Path(run).name: figure for run, figure in self.runs.items()}}
 
 
 def pooled(figures: Sequence[Figure]) -> Figure:
@@ -168,7 +168,7 @@ def in_field_units(figure: Figure, like: Figure | None = None) -> tuple[str, str
 
 def figure_json(figure: Figure) -> dict[str, Any]:
     """Return one figure as the content of a `cycloid-figures/1` file (SI)."""
-    found: dict[str, Any] = {
+    content: dict[str, Any] = {
         "value": figure.value,
         "uncertainty": figure.uncertainty,
         "unit": figure.unit,
@@ -178,10 +178,10 @@ def figure_json(figure: Figure) -> dict[str, Any]:
         figure.counted: figure.count,
     }
     if figure.remark:
-        found["remark"] = figure.remark
-    found.update({side: figure_json(part) for side, part in figure.parts.items()})
+        content["remark"] = figure.remark
+    content.update({side: figure_json(part) for side, part in figure.parts.items()})
     if figure.segments:
-        found["segments"] = {name: figure_json(segment) for name, segment in figure.segments.items()}
+        content["segments"] = {name: figure_json(segment) for name, segment in figure.segments.items()}
     if figure.runs:
-        found["runs"] = {name: figure_json(run) for name, run in figure.runs.items()}
-    return found
+        content["runs"] = {name: figure_json(run) for name, run in figure.runs.items()}
+    return content

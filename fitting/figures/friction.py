@@ -204,7 +204,7 @@ def in_passes(stretches: Stretches, speeds: tuple[float, float]) -> Stretches:
     groups = [part[1:-1] if part.size > 6 else part for part in np.split(within, np.flatnonzero(new) + 1)]
     groups = [part for part in groups if part.size > 2]
     total = sum(part.size for part in groups)
-    kept, runs, blocks, accelerations = [], [], [], []
+    members, runs, blocks, accelerations = [], [], [], []
     first = 0
     for number, part in enumerate(groups):
         count = min(max(1, round(BLOCKS * part.size / total)), part.size // 2)
@@ -213,15 +213,15 @@ def in_passes(stretches: Stretches, speeds: tuple[float, float]) -> Stretches:
         for k in range(count):
             t, w = stretches.time[part[of == k]], stretches.speed[part[of == k]]
             a[of == k] = np.polyfit(t - t.mean(), w, 1)[0] if t.size > 1 else 0.0
-        kept.append(part)
+        members.append(part)
         runs.append(np.full(part.size, number, np.intp))
         blocks.append(first + of)
         accelerations.append(a)
         first += count
-    if not kept:
+    if not members:
         return stretches.chosen(within[:0])
     return dataclasses.replace(
-        stretches.chosen(np.concatenate(kept)),
+        stretches.chosen(np.concatenate(members)),
         run=np.concatenate(runs),
         block=np.concatenate(blocks),
         acceleration=np.concatenate(accelerations),
@@ -304,7 +304,7 @@ def fit_columns(columns: Mapping[str, Array], stretches: Stretches) -> Fit:
     values = np.linalg.lstsq(x, y, rcond=1e-9)[0]
     residual = y - x @ values
     terms = x.shape[1]
-    block, passes = (np.unique(one, return_inverse=True)[1] for one in (stretches.block, stretches.run))
+    block, passes = (np.unique(labels, return_inverse=True)[1] for labels in (stretches.block, stretches.run))
 
     def without(part: Numbers) -> Array:
         count = int(part.max()) + 1
@@ -825,13 +825,13 @@ def loop_growth(loop: str | os.PathLike[str]) -> tuple[Figure, bool]:
     """
     content = edge.json_table(loop, FIGURES, "figures of cycloid-fit metrics")
     free = content.get("friction_free")
-    found = free.get("friction_per_load") if isinstance(free, dict) else None
-    value = found.get("value") if isinstance(found, dict) else None
-    if not isinstance(found, dict) or not isinstance(value, int | float) or not math.isfinite(value):
+    growth = free.get("friction_per_load") if isinstance(free, dict) else None
+    value = growth.get("value") if isinstance(growth, dict) else None
+    if not isinstance(growth, dict) or not isinstance(value, int | float) or not math.isfinite(value):
         raise edge.InputError(
             f"{loop}: friction_free.friction_per_load is missing; figures of loops in both directions have it."
         )
-    uncertainty = found.get("uncertainty")
+    uncertainty = growth.get("uncertainty")
     half = math.nan if uncertainty is None else float(uncertainty)
     locked = content.get("locked")
     by_motor = isinstance(locked, dict) and set(locked.values()) == {"output"}
@@ -839,10 +839,10 @@ def loop_growth(loop: str | os.PathLike[str]) -> tuple[Figure, bool]:
         float(value),
         half,
         "1",
-        str(found.get("definition", DEFINITIONS["friction_per_load"])),
+        str(growth.get("definition", DEFINITIONS["friction_per_load"])),
         None,
         "",
-        float(found.get("passes", 1)),
+        float(growth.get("passes", 1)),
         "passes",
     )
     return figure, by_motor
@@ -952,6 +952,6 @@ def friction(
     figures = running | figures
     if growth is not None and "friction_per_load" not in figures:
         figures["friction_per_load"] = growth
-        added = [one for one in added if not one.startswith("Growth")]
+        added = [note for note in added if not note.startswith("Growth")]
         added.append(f"{loop}: friction_per_load is that of the loops in this file.")
     return FrictionFit(figures, limits, loads, stretches, fitted, removed, tuple(dict.fromkeys([*notes, *added])), data)

@@ -94,7 +94,7 @@ def residual_variances(
         at_zero = 0.25 * sum(line.at(end)[1] for line in lines)
         loaded = 0.25 * sum(line.at(end + sign * at_torque / slope)[1] for line in lines)
         slopes = [line.slope_variance for line in lines]
-        found = {
+        of_side = {
             "play": at_zero / slope**2,
             "torsional_stiffness": 0.25 * sum(slopes),
             "friction_torque": at_zero,
@@ -102,7 +102,7 @@ def residual_variances(
             "efficiency_driving": loaded * (values["efficiency_driving"] ** 2 / at_torque) ** 2,
             "efficiency_back_driving": loaded / at_torque**2,
         }
-        for name, variance in found.items():
+        for name, variance in of_side.items():
             variances.setdefault(name, []).append(variance)
     return {name: sum(v) if name == "play" else 0.25 * sum(v) for name, v in variances.items()}
 
@@ -137,16 +137,19 @@ def _scatter(passes: Sequence[Pass], of: Callable[[Sequence[Pass]], Values | Non
                 for name in names
             }
         )
-    found = {}
+    total_variances = {}
     for name in set(each[0]) | set(each[1]):
-        parts = [(variance, count - 1.0) for variance, count in (one[name] for one in each if name in one)]
+        parts = [
+            (variance, count - 1.0)
+            for variance, count in (of_direction[name] for of_direction in each if name in of_direction)
+        ]
         if len(parts) == 1:
-            variance, count = next(one[name] for one in each if name in one)
+            variance, count = next(of_direction[name] for of_direction in each if name in of_direction)
             parts.append((variance * count, count - 1.0))
         total = sum(variance for variance, _ in parts)
         spread = sum(variance**2 / degrees for variance, degrees in parts)
-        found[name] = total, (total**2 / spread if spread > 0.0 else math.inf)
-    return found
+        total_variances[name] = total, (total**2 / spread if spread > 0.0 else math.inf)
+    return total_variances
 
 
 @dataclass(frozen=True)

@@ -166,8 +166,8 @@ def _loop_values(torque: Array, windup: Array, loop: Loop, rated: float) -> _Loo
         (a, b), (c, d) = at
         lost = 0.5 * (a[0] + b[0] - c[0] - d[0]), 0.25 * (a[1] + b[1] + c[1] + d[1])
         if width is not None:
-            one, other = (c, d) if loop.negative.loading.start > loop.positive.loading.start else (b, a)
-            wider = one[0] - other[0] - width[0], one[1] + other[1] + width[1]
+            upper, lower = (c, d) if loop.negative.loading.start > loop.positive.loading.start else (b, a)
+            wider = upper[0] - lower[0] - width[0], upper[1] + lower[1] + width[1]
     return _LoopValues(hysteresis, backlash, lost, width, wider, middle)
 
 
@@ -178,13 +178,13 @@ def _behind_the_virgin_branch(torque: Array, windup: Array, loop: Loop, rated: f
     first side's unloading branch and the second side's loading branch is its lost motion.
     """
     first, second = sorted((loop.positive, loop.negative), key=lambda lobe: lobe.loading.start)
-    one, other = (
+    unloading, loading = (
         value_at(torque, windup, part, sign * LOST_MOTION_LOAD * rated, NEAR * rated)
         for part, sign in ((first.unloading, first.sign), (second.loading, second.sign))
     )
-    if one is None or other is None:
+    if unloading is None or loading is None:
         return None
-    return first.sign * (one[0] - other[0]), one[1] + other[1]
+    return first.sign * (unloading[0] - loading[0]), unloading[1] + loading[1]
 
 
 def mean_of_loops(values: Sequence[_Value], moved: float = 0.0) -> tuple[float, float, float]:
@@ -236,22 +236,22 @@ def drift_of(data: LoopData) -> Drift | None:
         for loading, part in ((True, lobe.loading), (False, lobe.unloading)):
             at = part.start + np.flatnonzero((share[part] >= DRIFT[0] * peak) & (share[part] <= DRIFT[1] * peak))
             chosen.setdefault((lobe.sign, loading), []).append(at)
-    fewest = min(at.size for found in chosen.values() for at in found)
-    repeated = max(len(found) for found in chosen.values()) > 1
+    fewest = min(at.size for pieces in chosen.values() for at in pieces)
+    repeated = max(len(pieces) for pieces in chosen.values()) > 1
     if fewest < 4 or (not repeated and len(chosen) < 4):
         return None
     powers = range(1, 4 if fewest >= 12 else 2)
     # Many samples are averaged in groups of neighbours, which determine drift and noise equally well.
-    size = max(1, min(fewest // 12, sum(at.size for found in chosen.values() for at in found) // _GROUPS))
+    size = max(1, min(fewest // 12, sum(at.size for pieces in chosen.values() for at in pieces) // _GROUPS))
 
     def grouped(values: Array) -> Array:
-        parts = [at[: at.size - at.size % size] for found in chosen.values() for at in found]
-        found: Array = np.concatenate([values[at].reshape(-1, size).mean(axis=1) for at in parts])
-        return found
+        parts = [at[: at.size - at.size % size] for pieces in chosen.values() for at in pieces]
+        means: Array = np.concatenate([values[at].reshape(-1, size).mean(axis=1) for at in parts])
+        return means
 
     branch = {of: np.zeros(share.size) for of in chosen}
-    for of, found in chosen.items():
-        for at in found:
+    for of, pieces in chosen.items():
+        for at in pieces:
             branch[of][at] = 1.0
     order = np.argsort(grouped(data.time), kind="stable")
     x = grouped(share)[order] - 0.5 * (DRIFT[0] + DRIFT[1]) * peak
@@ -293,9 +293,9 @@ def _moved(values: Sequence[_Value], others: Sequence[_Value]) -> float:
 def _values(data: LoopData, band: bool) -> dict[str, list[_Value]]:
     """Return each figure's values from each loop; `band`: whether the load of lost motion is in the friction band."""
     torque, windup, rated = data.torque, data.windup, data.rated_torque
-    found = [_loop_values(torque, windup, loop, rated) for loop in data.loops]
-    steady = [_loop_values(torque, windup, loop, rated) for loop in data.steady] or found
-    lost = [one.lost_motion for one in (steady if band else found)]
+    every = [_loop_values(torque, windup, loop, rated) for loop in data.loops]
+    steady = [_loop_values(torque, windup, loop, rated) for loop in data.steady] or every
+    lost = [loop.lost_motion for loop in (steady if band else every)]
     if not data.steady and band and not _closed(data):
         lost = [_behind_the_virgin_branch(torque, windup, loop, rated) for loop in data.loops]
     stiffness = {
@@ -307,11 +307,11 @@ def _values(data: LoopData, band: bool) -> dict[str, list[_Value]]:
         for side, sign in SIDES
     }
     values = {
-        "hysteresis_loss": [one.hysteresis_loss for one in found],
-        "backlash": [one.backlash for one in found],
+        "hysteresis_loss": [loop.hysteresis_loss for loop in every],
+        "backlash": [loop.backlash for loop in every],
         "lost_motion": lost,
-        "width": [one.width for one in found],
-        "wider": [one.wider for one in steady],
+        "width": [loop.width for loop in every],
+        "wider": [loop.wider for loop in steady],
         **stiffness,
     }
     return {name: [v for v in these if v is not None] for name, these in values.items()}
@@ -372,9 +372,9 @@ def stiffness_segments(data: LoopData, drift: Drift | None, limits: Sequence[flo
                 [
                     v
                     for lobe in lobes
-                    if lobe.sign == sign and (v := _stiffness(one.torque, one.windup, lobe, low, high))
+                    if lobe.sign == sign and (v := _stiffness(loops.torque, loops.windup, lobe, low, high))
                 ]
-                for one in freed
+                for loops in freed
             )
             if values:
                 parts[side] = _mean_figure("torsional_stiffness", values, drifted, (low, high))
@@ -385,9 +385,9 @@ def stiffness_segments(data: LoopData, drift: Drift | None, limits: Sequence[flo
 
 def _of_sides(parts: dict[str, Figure]) -> Figure:
     """Return the mean of a figure over its sides."""
-    one = next(iter(parts.values()))
+    first = next(iter(parts.values()))
     return dataclasses.replace(
-        one,
+        first,
         value=float(np.mean([p.value for p in parts.values()])),
         uncertainty=math.hypot(*(p.uncertainty for p in parts.values())) / len(parts),
         count=min(p.count for p in parts.values()),
@@ -421,7 +421,7 @@ def loop_figures(data: LoopData, limits: Sequence[float] | None = None) -> tuple
     rated, drift = data.rated_torque, drift_of(data)
     undrifted = without_drift(data, drift)
     band, friction = _friction_band(_values(undrifted, False), rated)
-    values, drifted = (_values(one, band) for one in (undrifted, without_drift(data, drift, more=1.0)))
+    values, drifted = (_values(loops, band) for loops in (undrifted, without_drift(data, drift, more=1.0)))
     later = values if data.late is None else _values(dataclasses.replace(undrifted, torque=data.late), band)
     notes = _loop_notes(data, undrifted, drift, values, band, friction)
     figures, missing = _whole_loop_figures(data, values, drifted, later)
@@ -601,6 +601,6 @@ def loop_marks(data: LoopData) -> dict[str, list[Array]]:
         for side in (loop.negative, loop.positive):
             t = side.sign * LOST_MOTION_LOAD * rated
             both = [value_at(torque, windup, b, t, NEAR * rated) for b in (side.loading, side.unloading)]
-            at.append((t, float(np.mean([one[0] for one in both if one is not None]))))
+            at.append((t, float(np.mean([value[0] for value in both if value is not None]))))
         marks["lost_motion"] = [np.array(at)]
     return marks

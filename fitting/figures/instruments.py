@@ -160,7 +160,7 @@ class Instruments(edge.Config):
     @property
     def stated(self) -> dict[str, Instrument]:
         """The stated instruments, by the measured quantity."""
-        return {name: one for name in type(self).model_fields if (one := getattr(self, name)) is not None}
+        return {name: instrument for name in type(self).model_fields if (instrument := getattr(self, name)) is not None}
 
 
 class InstrumentsFile(edge.Config):

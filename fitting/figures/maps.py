@@ -120,20 +120,20 @@ def maps(
     for point in points:
         ratios.setdefault(point.ratio, point.table)
     if len(ratios) > 1:
-        stated = edge.listed(f"{one:g} ({table})" for one, table in ratios.items())
+        stated = edge.listed(f"{value:g} ({table})" for value, table in ratios.items())
         raise edge.InputError(f"the recordings state several ratios, {stated}; maps are those of one drive.")
     return _dataset(points, points[0].ratio, drive if isinstance(drive, Drive) else None, notes)
 
 
 def _taken(given: Sequence[Source], ratio: float | None) -> Iterator[tuple[list[_Point], list[str]]]:
     """Yield the values of each recording; many files are read by all processors, each with one recording in memory."""
-    if len(given) < _MANY or not all(isinstance(one, RecordingFile) for one in given):
-        yield from (_points(one, ratio) for one in given)
+    if len(given) < _MANY or not all(isinstance(source, RecordingFile) for source in given):
+        yield from (_points(source, ratio) for source in given)
         return
     import joblib
 
     parallel = joblib.Parallel(n_jobs=-1, return_as="generator", pre_dispatch="4*n_jobs")
-    yield from parallel(joblib.delayed(_points)(one, ratio) for one in given)
+    yield from parallel(joblib.delayed(_points)(source, ratio) for source in given)
 
 
 def _points(source: Source, ratio: float | None) -> tuple[list[_Point], list[str]]:
@@ -296,14 +296,14 @@ def _axes(points: Sequence[_Point], sign: Array) -> tuple[tuple[Array, ...], tup
 
 def _slope(torque: Array, windup: Array) -> Array:
     """Return dT/dTE along the first axis, N·m/rad, from the recorded neighbours; NaN without any."""
-    found = np.full(windup.shape, np.nan)
-    for place in np.ndindex(windup.shape[1:]):
-        line = windup[(slice(None), *place)]
+    slope = np.full(windup.shape, np.nan)
+    for cell in np.ndindex(windup.shape[1:]):
+        line = windup[(slice(None), *cell)]
         there = np.isfinite(line)
         if np.count_nonzero(there) > 1:
             with np.errstate(divide="ignore"):
-                found[(there, *place)] = 1.0 / np.gradient(line[there], torque[there])
-    return found
+                slope[(there, *cell)] = 1.0 / np.gradient(line[there], torque[there])
+    return slope
 
 
 def _gaps(points: Sequence[_Point], at: tuple[NDArray[np.int64], ...], shape: tuple[int, ...]) -> Array:
@@ -320,6 +320,6 @@ def _gaps(points: Sequence[_Point], at: tuple[NDArray[np.int64], ...], shape: tu
     return np.where(count > 0.0, total / np.maximum(count, 1.0), np.nan)
 
 
-def write_maps(found: xr.Dataset, path: str | os.PathLike[str]) -> None:
+def write_maps(dataset: xr.Dataset, path: str | os.PathLike[str]) -> None:
     """Write maps to a netCDF file; never a partial file."""
-    edge.write_netcdf(found, path)
+    edge.write_netcdf(dataset, path)

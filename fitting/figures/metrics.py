@@ -100,7 +100,7 @@ class Figures:
     @property
     def shown(self) -> dict[str, Figure]:
         """All figures by the names under which a table shows them."""
-        return {**self.figures, **{f"{FRICTION_FREE}{name}": one for name, one in self.friction_free.items()}}
+        return {**self.figures, **{f"{FRICTION_FREE}{name}": figure for name, figure in self.friction_free.items()}}
 
     @property
     def play_range(self) -> tuple[Figure, Figure] | None:
@@ -216,8 +216,8 @@ def _ripple_results(surveyed: Sequence[Surveyed], rated_torque: float | None, pa
             spectra.append(orders)
             notes += _windup_note(curve, rated_torque)
             direction, label = "forward" if curve.direction > 0 else "backward", run_label(recording.source, curve)
-            for name, kept in zip(names, (orders, without_orders(orders, RIG_ORDERS)), strict=True):
-                runs[name][direction][label] = angular_transmission_error(curve, kept, recording.runaway)
+            for name, used in zip(names, (orders, without_orders(orders, RIG_ORDERS)), strict=True):
+                runs[name][direction][label] = angular_transmission_error(curve, used, recording.runaway)
             bases, limits = _stated_bases(recording.overview, curve.ratio), recording.overview.limits
             coarsest = max(limits.output_resolution, limits.input_resolution / abs(curve.ratio))
             of_runs.append(orders_of_run(curve, orders, label, pair, bases, coarsest))
@@ -392,7 +392,7 @@ def group_json(group: LoopGroup) -> dict[str, Any]:
         "loops_found": group.loops_found,
         "loops_used": group.loops_used,
         **{name: figure_json(figure) for name, figure in group.figures.items()},
-        "friction_free": None if free is None else {name: figure_json(one) for name, one in free.items()},
+        "friction_free": None if free is None else {name: figure_json(figure) for name, figure in free.items()},
         "notes": list(group.notes),
     }
 
@@ -405,8 +405,8 @@ def figures_json(figures: Figures) -> dict[str, Any]:
             name: figure_json(f) | ({"budget": budget_json(figures.budgets[name])} if name in figures.budgets else {})
             for name, f in figures.figures.items()
         },
-        "friction_free": {name: figure_json(one) for name, one in figures.friction_free.items()},
-        "play_range": None if figures.play_range is None else [figure_json(one) for one in figures.play_range],
+        "friction_free": {name: figure_json(figure) for name, figure in figures.friction_free.items()},
+        "play_range": None if figures.play_range is None else [figure_json(figure) for figure in figures.play_range],
         "loop_groups": [group_json(loop_group) for loop_group in figures.loop_groups],
         "orders": [orders_json(order) for order in figures.orders],
         "rated_torque": figures.rated_torque,

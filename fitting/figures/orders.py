@@ -16,13 +16,13 @@ def order_rows(runs: Sequence[RunOrders]) -> list[list[str]]:
     """Return the rows of a table, for people, of the largest orders of each direction's run with the largest."""
     rows = []
     for direction in (1, -1):
-        of_way = [run for run in runs if run.direction == direction and run.orders]
-        if not of_way:
+        of_direction = [run for run in runs if run.direction == direction and run.orders]
+        if not of_direction:
             continue
-        largest = max(of_way, key=lambda one: one.orders[0].amplitude)
+        largest = max(of_direction, key=lambda run: run.orders[0].amplitude)
         rows.append([Path(largest.run).name, "", "", "", ""])
-        for one in largest.orders[:_SHOWN]:
-            known = Figure(one.amplitude, one.uncertainty, "rad", "", None, "rad", largest.turns, "turns")
-            name = f"{one.order:.0f}" if one.whole else f"{one.order:.4g}"
-            rows.append([f"  {name}", *in_field_units(known), one.source])
+        for order in largest.orders[:_SHOWN]:
+            known = Figure(order.amplitude, order.uncertainty, "rad", "", None, "rad", largest.turns, "turns")
+            name = f"{order.order:.0f}" if order.whole else f"{order.order:.4g}"
+            rows.append([f"  {name}", *in_field_units(known), order.source])
     return rows

@@ -55,8 +55,8 @@ def starts_of(crank: Array, torque: Array, driven: Array) -> list[Start]:
             at_rest = abs(float(np.median(torque[begin : begin + max(3, moved // 20)])))
             peak = begin + int(np.argmax(np.abs(torque[still])))
             later = min(start + 10 * moved, crank.size - 1)
-            onward, way = crank[later] - crank[begin], driven[later] - driven[begin]
-            if at_rest < 0.1 * largest and abs(onward) > 5.0 * _START and torque[peak] * way > 0.0:
+            onward, driven_onward = crank[later] - crank[begin], driven[later] - driven[begin]
+            if at_rest < 0.1 * largest and abs(onward) > 5.0 * _START and torque[peak] * driven_onward > 0.0:
                 starts.append(Start(still, peak, largest))
         begin = start
         # The motion ends when the crank is at rest for more than a few samples.

@@ -36,11 +36,11 @@ class CanLog(BenchFile):
             if chosen:
                 wanted[message.frame_id] = (message, chosen)
         log = _binary_log(self.source) if self.source.lower().endswith(".blf") else can.LogReader(self.source)
-        kept: dict[int, tuple[list[float], list[list[float]]]] = {k: ([], []) for k in wanted}
+        buffers: dict[int, tuple[list[float], list[list[float]]]] = {k: ([], []) for k in wanted}
         failed, count = 0, 0
 
         def flush() -> Iterator[Piece]:
-            for key, (times, rows) in kept.items():
+            for key, (times, rows) in buffers.items():
                 if times:
                     table = np.array(rows, float)
                     yield Piece(np.array(times), {full: table[:, i] for i, (full, _) in enumerate(wanted[key][1])})
@@ -67,7 +67,7 @@ class CanLog(BenchFile):
             except Exception:  # too short for the message, or a multiplexer it does not know
                 failed += 1
                 continue
-            times, rows = kept[frame.arbitration_id]
+            times, rows = buffers[frame.arbitration_id]
             times.append(frame.timestamp)
             rows.append([float(decoded.get(short, np.nan)) for _, short in chosen])
             if len(times) >= PIECE // 4:
@@ -79,7 +79,7 @@ class CanLog(BenchFile):
 
 def read_dbc(path: str | os.PathLike[str]) -> Any:
     """Return the database of a DBC file; raise an `edge.InputError` if it can't be read."""
-    with edge.needs_extra("bench-files", lambda said: edge.InputError(f"{path}: {said}.")):
+    with edge.needs_extra("bench-files", lambda message: edge.InputError(f"{path}: {message}.")):
         import cantools
 
     text = edge.read_text(path)
@@ -93,12 +93,12 @@ def _binary_log(source: str) -> Any:
 
     class Checked(can.BLFReader):  # type: ignore[misc]  # python-can is untyped here
         def _parse_container(self, data: bytes) -> Any:
-            whole, place = self._tail + data, 0
-            while (place := whole.find(b"LOBJ", place, place + 8)) >= 0 and place + 12 <= len(whole):
-                (size,) = struct.unpack_from("<I", whole, place + 8)
+            whole, position = self._tail + data, 0
+            while (position := whole.find(b"LOBJ", position, position + 8)) >= 0 and position + 12 <= len(whole):
+                (size,) = struct.unpack_from("<I", whole, position + 8)
                 if size < _SMALLEST_OBJECT:
                     raise can.io.blf.BLFParseError(f"an object of {size} bytes")
-                place += size
+                position += size
             return super()._parse_container(data)
 
     return Checked(source)

@@ -59,17 +59,17 @@ def first_samples(file: BenchFile) -> list[FirstSamples]:
                 taken[name] += values.size
         if min(taken.values()) >= INSPECTED:
             break
-    found = []
+    looks = []
     for channel in file.channels:
         mine = parts[channel.name]
         if not mine:
             continue
         times = [t for t, _ in mine if t is not None]
-        found.append(
+        looks.append(
             FirstSamples(
                 channel,
                 np.concatenate(times) if len(times) == len(mine) else None,
                 np.concatenate([v for _, v in mine]),
             )
         )
-    return found
+    return looks

@@ -145,9 +145,8 @@ def _reader(path: str | os.PathLike[str], source: object) -> tuple[str, str]:
         if (refused := edge.wrong_kind(path, "a recording", tables=True)) is not None:
             raise refused
         known = sorted({*READERS, *(e.name for e in metadata.entry_points(group=GROUP))})
-        raise edge.InputError(
-            f"{source}: the ending must be one of {', '.join('.' + one for one in known)}; {COMPRESSED} may follow it."
-        )
+        endings = ", ".join(f".{ending}" for ending in known)
+        raise edge.InputError(f"{source}: the ending must be one of {endings}; {COMPRESSED} may follow it.")
     return ending, reader
 
 
@@ -306,13 +305,13 @@ def name_and_unit(text: str) -> tuple[str, str]:
 def unique(channels: Sequence[RawChannel]) -> tuple[RawChannel, ...]:
     """Number channels of the same name, because a name in a mapping must identify one channel."""
     seen: dict[str, int] = {}
-    found = []
+    numbered = []
     for c in channels:
         name = edge.without_controls(c.name[:LONGEST_NAME])
         seen[name] = seen.get(name, 0) + 1
         name = name if seen[name] == 1 else f"{name} #{seen[name]}"
-        found.append(RawChannel(name, edge.without_controls(c.unit[:LONGEST_NAME]), c.zero_reference))
-    return tuple(found)
+        numbered.append(RawChannel(name, edge.without_controls(c.unit[:LONGEST_NAME]), c.zero_reference))
+    return tuple(numbered)
 
 
 def in_order(streams: Sequence[Iterator[Piece]]) -> Iterator[Piece]:
@@ -368,7 +367,7 @@ def measures(unit: str, si: str) -> bool:
     if not text or text in USUAL.get(si, {}):
         return bool(text)
     try:
-        own, wanted = (edge.units().Quantity(1.0, edge.parse_unit(one)).to_base_units().units for one in (text, si))
+        own, wanted = (edge.units().Quantity(1.0, edge.parse_unit(t)).to_base_units().units for t in (text, si))
     except ValueError:
         return False
     return bool(own == wanted)

@@ -88,13 +88,13 @@ class _Reader:
         if len(text) > LONGEST:
             raise ValueError(f"it is longer than {LONGEST} characters")
         self._left: list[tuple[str, str]] = []
-        place, end = 0, len(text.rstrip())
-        while place < end:
-            symbol = _SYMBOL.match(text, place)
+        position, end = 0, len(text.rstrip())
+        while position < end:
+            symbol = _SYMBOL.match(text, position)
             if symbol is None:
-                raise ValueError(f'"{text[place:].strip()[:10]}" is not part of a formula')
+                raise ValueError(f'"{text[position:].strip()[:10]}" is not part of a formula')
             self._left.append((str(symbol.lastgroup), str(symbol[str(symbol.lastgroup)])))
-            place = symbol.end()
+            position = symbol.end()
         self._depth = 0
 
     def formula(self) -> Part:
@@ -131,8 +131,8 @@ class _Reader:
             raise ValueError("it is nested too deeply")
         try:
             if sign := self._sign("+", "-"):
-                found = self._signed()
-                return found if sign == "+" else lambda x: np.negative(found(x))
+                part = self._signed()
+                return part if sign == "+" else lambda x: np.negative(part(x))
             base = self._value()
             return _joined("**", base, self._signed()) if self._sign("**") else base
         finally:
@@ -140,9 +140,9 @@ class _Reader:
 
     def _value(self) -> Part:
         if self._sign("("):
-            found = self._sum()
+            part = self._sum()
             self._need(")")
-            return found
+            return part
         kind, text = self._left.pop(0) if self._left else ("", "")
         if kind == "number":
             number = np.array(float(text))
@@ -162,6 +162,6 @@ class _Reader:
         raise ValueError(f'"{text}" is unknown' if text else "it ends too early")
 
 
-def _joined(sign: str, left: Part, right: Part) -> Part:
+def _joined(sign: str, first: Part, second: Part) -> Part:
     compute = _SIGNS[sign]
-    return lambda x: compute(left(x), right(x))
+    return lambda x: compute(first(x), second(x))

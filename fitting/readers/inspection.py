@@ -45,9 +45,9 @@ _FEWEST = 20  # samples that show a ratio
 _APART = 0.02  # largest rms of the output about a straight line over the input, relative to its range
 
 
-def is_commanded(one: FirstSamples) -> bool:
+def is_commanded(look: FirstSamples) -> bool:
     """Return whether a channel's name is that of a commanded value or a controller's error, which is no measurement."""
-    return bool(re.search(_COMMANDED, one.channel.name, re.IGNORECASE))
+    return bool(re.search(_COMMANDED, look.channel.name, re.IGNORECASE))
 
 
 def _rises(values: Array) -> bool:
@@ -125,7 +125,7 @@ def inspect(path: str | os.PathLike[str], dbc: str | os.PathLike[str] | None = N
     >>> import fitting, pathlib
     >>> rows = ["t [s];Motor [deg];Flange [deg];Md [Nm]", "0;0;0;5", "1;39;1;5", ""]
     >>> _ = pathlib.Path("strange.csv").write_text(chr(10).join(rows))
-    >>> {role: one.channel.name for role, one in fitting.inspect("strange.csv").roles.items()}
+    >>> {role: look.channel.name for role, look in fitting.inspect("strange.csv").roles.items()}
     {'time': 't', 'torque': 'Md', 'input_angle': 'Motor', 'output_angle': 'Flange'}
     """
     file = open_bench_file(path, dbc)
@@ -133,10 +133,10 @@ def inspect(path: str | os.PathLike[str], dbc: str | os.PathLike[str] | None = N
     if not looks:
         raise edge.InputError(" ".join([*file.problems, f"{path}: it has no numeric channel with samples."]))
     runs = error_runs([look for look in looks if not is_commanded(look)])
-    taken = [one for run in runs for one in (run.output_angle, run.transmission_error)]
+    taken = [look for run in runs for look in (run.output_angle, run.transmission_error)]
     roles = roles_of(file, [look for look in looks if look not in taken] if runs else looks)
     if runs:  # further angles belong to none of these runs
-        roles = {role: one for role, one in roles.items() if not role.endswith("angle")}
+        roles = {role: look for role, look in roles.items() if not role.endswith("angle")}
     if file.timed or "time" in roles:  # the time determines the first sample
         runs = [dataclasses.replace(run, last_row_first=False) for run in runs]
     if len(runs) == 1:
@@ -155,7 +155,7 @@ def inspection_json(inspection: Inspection) -> dict[str, Any]:
         }
         for o in inspection.looks
     }
-    roles = {role: one.channel.name for role, one in inspection.roles.items()}
+    roles = {role: look.channel.name for role, look in inspection.roles.items()}
     runs = {
         run.name: {
             "output_angle": run.output_angle.channel.name,
@@ -178,34 +178,34 @@ def roles_of(file: BenchFile, looks: Sequence[FirstSamples]) -> dict[str, FirstS
 
     Commanded values are not proposed: a figure from them would be that of the controller's wishes.
     """
-    left = [look for look in looks if np.isfinite(look.values).any() and not is_commanded(look)]
+    free = [look for look in looks if np.isfinite(look.values).any() and not is_commanded(look)]
     roles: dict[str, FirstSamples] = {}
 
     def choose(role: str, candidates: Sequence[FirstSamples]) -> None:
         named = _named(candidates, role) or list(candidates)
         if named:
             roles[role] = named[0]
-            left.remove(named[0])
+            free.remove(named[0])
 
     if not file.timed:
-        rising = [one for one in left if _rises(one.values)]
-        timed = [one for one in rising if measures(one.channel.unit, "s")] or _named(rising, "time")
+        rising = [look for look in free if _rises(look.values)]
+        timed = [look for look in rising if measures(look.channel.unit, "s")] or _named(rising, "time")
         choose("time", timed)
-    torques = [o for o in left if measures(o.channel.unit, "N*m")]
-    torques = torques or _named([o for o in left if not measures(o.channel.unit, "rad")], "torque")
+    torques = [o for o in free if measures(o.channel.unit, "N*m")]
+    torques = torques or _named([o for o in free if not measures(o.channel.unit, "rad")], "torque")
     driving = _named(torques, "input_angle")  # of several torques, one with the input's name is the input torque
     if driving and len(torques) > len(driving):
         roles["input_torque"] = driving[0]
-        left.remove(driving[0])
+        free.remove(driving[0])
         torques = [o for o in torques if o not in driving]
     choose("torque", torques)
-    hot = [o for o in left if measures(o.channel.unit, "K")]
+    hot = [o for o in free if measures(o.channel.unit, "K")]
     choose("temperature", hot)
     # A speed is recognised only by its unit.
-    choose("speed", [o for o in left if measures(o.channel.unit, "rad/s")])
-    angles = [o for o in left if measures(o.channel.unit, "rad") or o.channel.unit.lower() in _COUNTS]
+    choose("speed", [o for o in free if measures(o.channel.unit, "rad/s")])
+    angles = [o for o in free if measures(o.channel.unit, "rad") or o.channel.unit.lower() in _COUNTS]
     if len(angles) < 2:
-        unknown = [o for o in left if not o.channel.unit]
+        unknown = [o for o in free if not o.channel.unit]
         angles += [o for o in unknown if re.search(_ANGLE_NAMES, o.channel.name, re.IGNORECASE) and o not in angles]
     ins, outs = _named(angles, "input_angle"), _named(angles, "output_angle")
     ins, outs = [o for o in ins if o not in outs] or ins, [o for o in outs if o not in ins] or outs
@@ -238,10 +238,10 @@ def ratio_of(roles: Mapping[str, FirstSamples]) -> float | None:
     """
     angles = {role: roles.get(role) for role in ANGLES}
     columns: dict[str, Array] = {}
-    for role, one in angles.items():
-        if one is None or (scale := _angle_unit(one)[1]) is None:
+    for role, look in angles.items():
+        if look is None or (scale := _angle_unit(look)[1]) is None:
             return None
-        columns[role] = one.values * scale
+        columns[role] = look.values * scale
     if len({values.size for values in columns.values()}) > 1:
         return None
     columns["time"] = np.arange(float(columns["input_angle"].size))
@@ -253,11 +253,11 @@ def ratio_of(roles: Mapping[str, FirstSamples]) -> float | None:
         return None
     given, driven = (angle - angle.mean() for angle in (block.input_angle, block.output_angle))
     slope = float(given @ driven) / float(given @ given)
-    left = float(np.std(driven - slope * given)) / float(np.ptp(driven) or 1.0)
-    if left > _APART or slope == 0.0:
+    residual = float(np.std(driven - slope * given)) / float(np.ptp(driven) or 1.0)
+    if residual > _APART or slope == 0.0:
         return None
     ratio, whole = 1.0 / slope, round(1.0 / slope)
-    return float(whole) if abs(ratio - whole) < max(3.0 * left, 1e-4) * abs(ratio) else float(f"{ratio:.6g}")
+    return float(whole) if abs(ratio - whole) < max(3.0 * residual, 1e-4) * abs(ratio) else float(f"{ratio:.6g}")
 
 
 def _ratio_line(ratio: float | None, stated: bool) -> str:
@@ -308,8 +308,8 @@ def _mapping_text(
             lines.append(
                 "last_row_first = true      # its angles increase like those of forward: rows in reverse order"
             )
-        for role, one in (("output_angle", run.output_angle), ("transmission_error", run.transmission_error)):
-            lines += [f"[runs.{role}]", *_channel_lines(one, role)]
+        for role, look in (("output_angle", run.output_angle), ("transmission_error", run.transmission_error)):
+            lines += [f"[runs.{role}]", *_channel_lines(look, role)]
     if len(runs) > 1 and "torque" not in roles:
         lines.append("# If the load's sign follows the motion, add a [runs.torque] with direction = -1 to one run.")
     return "\n".join(lines) + "\n"
@@ -320,16 +320,16 @@ def _quoted(text: str) -> str:
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007F")
 
 
-def _channel_lines(one: FirstSamples, role: str) -> list[str]:
-    lines = [f"column = {_quoted(one.channel.name)}"]
+def _channel_lines(look: FirstSamples, role: str) -> list[str]:
+    lines = [f"column = {_quoted(look.channel.name)}"]
     if role.endswith("angle"):
-        return [*lines, _angle_unit(one)[0]]
-    if one.channel.unit:
-        return [*lines, f"unit = {_quoted(unit_text(one.channel.unit))}"]
-    if stated := stated_unit(one):
+        return [*lines, _angle_unit(look)[0]]
+    if look.channel.unit:
+        return [*lines, f"unit = {_quoted(unit_text(look.channel.unit))}"]
+    if stated := stated_unit(look):
         return [*lines, f"unit = {_quoted(stated)}               # from its name"]
     such = f'"{_UNITS.get(role, "rad")}"'
-    if role == "time" and _are_whole(one.values):
+    if role == "time" and _are_whole(look.values):
         such += "; or instead rate = …, ticks per second"
     return [*lines, f'unit = ""                   # not stated in the file; such as {such}']
 
@@ -340,12 +340,12 @@ def _are_whole(values: Array) -> bool:
     return bool((finite == np.round(finite)).all())
 
 
-def _angle_unit(one: FirstSamples) -> tuple[str, float | None]:
+def _angle_unit(look: FirstSamples) -> tuple[str, float | None]:
     """Return the line of a mapping with the unit of an angle, and one of these units in rad; None if it is unknown."""
-    if measures(stated := stated_unit(one), "rad"):
-        comment = "" if one.channel.unit else "               # from its name"
+    if measures(stated := stated_unit(look), "rad"):
+        comment = "" if look.channel.unit else "               # from its name"
         return f"unit = {_quoted(stated)}{comment}", edge.unit_scale(stated, "rad")
-    finite = one.values[np.isfinite(one.values)]
+    finite = look.values[np.isfinite(look.values)]
     low, high = float(finite.min()), float(finite.max())
     whole = _are_whole(finite)
     jumps = finite.size > 1 and np.abs(np.diff(finite)).max() > 0.5 * (high - low) > 0.0

@@ -117,8 +117,8 @@ class MdfFile(BenchFile):
                 self.problems.append(f"{self.source}: it is truncated after {begin} of {total} samples.")
                 return
 
-    def _converted(self, place: tuple[str, int, int], raw: Any) -> Array:
-        return np.asarray(self._conversions[place[1:]](raw), float)
+    def _converted(self, address: tuple[str, int, int], raw: Any) -> Array:
+        return np.asarray(self._conversions[address[1:]](raw), float)
 
 
 def _check_within(channel: Any, group: Any) -> None:

@@ -184,7 +184,7 @@ class FileMapping(_OneRun):
         if not self.runs:
             yield "", self
         for run in self.runs:
-            own = {n: found for n in CHANNELS if (found := getattr(run, n)) is not None}
+            own = {n: channel for n in CHANNELS if (channel := getattr(run, n)) is not None}
             yield run.name, self.model_copy(update={**own, "last_row_first": run.last_row_first, "runs": ()})
 
 
@@ -216,8 +216,8 @@ def read_mapping(path: str | os.PathLike[str]) -> FileMapping:
     names = [run.name for run in mapping.runs]
     if len(set(names)) < len(names):
         raise edge.InputError(f"{source}: [[runs]] name: {edge.listed(names)}; each run needs its own name.")
-    for run, one in mapping.each():
-        _check_channels(one, f"{source}: [[runs]] {run}" if run else source)
+    for name, of_run in mapping.each():
+        _check_channels(of_run, f"{source}: [[runs]] {name}" if name else source)
     if mapping.time is not None:
         if mapping.time.column is None and mapping.time.rate is None:
             raise edge.InputError(f"{source}: [time] needs a column, or a rate (samples per second).")
@@ -239,7 +239,7 @@ def read_mapping(path: str | os.PathLike[str]) -> FileMapping:
 
 def columns_of(mapping: FileMapping) -> set[str]:
     """Return the columns that a mapping needs, those of its runs included."""
-    parts = [mapping.time, *(getattr(one, n) for _, one in mapping.each() for n in CHANNELS)]
+    parts = [mapping.time, *(getattr(of_run, n) for _, of_run in mapping.each() for n in CHANNELS)]
     return {part.column for part in parts if part is not None and part.column is not None}
 
 
@@ -402,10 +402,10 @@ def _affine(unit: str, si: str) -> tuple[float, float]:
             raise ValueError(f"the unit {edge.shown(unit)} is no angle; state counts_per_turn, or a unit such as deg")
         return scale, 0.0
     try:
-        zero, one = (edge.units().Quantity(x, edge.parse_unit(unit)).to("K").magnitude for x in (0.0, 1.0))
+        zero, unit_step = (edge.units().Quantity(x, edge.parse_unit(unit)).to("K").magnitude for x in (0.0, 1.0))
     except Exception:
         raise ValueError(f'the unit "{unit}" is not a temperature; use degC or K') from None
-    return float(one - zero), float(zero)
+    return float(unit_step - zero), float(zero)
 
 
 def scales_of(file: BenchFile, mapping: FileMapping) -> dict[str, tuple[str, float, float]]:

@@ -65,15 +65,15 @@ def error_runs(looks: Sequence[FirstSamples]) -> list[ErrorRun]:
     with as many angles as errors, to the angle of the same position.
     """
     free = [look for look in looks if np.isfinite(look.values).sum() > 1]
-    errors = [one for one in free if _is_error(one, free)]
+    errors = [look for look in free if _is_error(look, free)]
     angles = [
-        one
-        for one in free
-        if one not in errors
-        and one.travel > 0.0
+        look
+        for look in free
+        if look not in errors
+        and look.travel > 0.0
         and (
-            measures(stated_unit(one), "rad")
-            or (not one.channel.unit and re.search(_ANGLE, one.channel.name, re.IGNORECASE))
+            measures(stated_unit(look), "rad")
+            or (not look.channel.unit and re.search(_ANGLE, look.channel.name, re.IGNORECASE))
         )
     ]
     if not errors or not angles or len(angles) > len(errors):
@@ -141,24 +141,24 @@ def name_patterns(path: str | Path) -> dict[str, tuple[str, str, str]]:
     ('T={}', 'N*m')
     """
     name = stem_of(path)
-    found: dict[str, tuple[str, str, str]] = {}
+    patterns: dict[str, tuple[str, str, str]] = {}
     hyphens = re.findall(rf"(?<=[^\W_])-(?={_NUMBER})", name)
     for role, (unit_pattern, unit) in _BEHIND.items():
         matches = list(re.finditer(rf"(?<![\d.,])({_NUMBER})({unit_pattern})", name, re.IGNORECASE))
         if role == "torque":
             matches = [m for m in matches if not m[2].strip(" _").endswith("nm")]  # nanometres
         if matches:
-            found[role] = _behind(name, matches, unit, role, len(hyphens))
+            patterns[role] = _behind(name, matches, unit, role, len(hyphens))
             continue
         matches = list(re.finditer(rf"(?<![^\W_])({_BEFORE[role]})([ _=:]*)({_NUMBER})(?![\d]|[^\W_])", name))
         if not matches and role != "torque" and role != "speed":
             matches = list(re.finditer(rf"(?<![^\W_])({_BEFORE[role]})([ _=:]*)({_NUMBER})", name, re.IGNORECASE))
         if len(matches) == 1:
             before = matches[0][1] + matches[0][2]
-            found[role] = (f"{before}{{}}", unit, "the name does not state the unit; check")
-    if found.get("torque", ("",))[0] in ("T={}", "T{}", "T_{}") and "temperature" not in found:
-        found["torque"] = ("", "", 'is T torque or temperature? Write "T={}" here or in [temperature]')
-    return found
+            patterns[role] = (f"{before}{{}}", unit, "the name does not state the unit; check")
+    if patterns.get("torque", ("",))[0] in ("T={}", "T{}", "T_{}") and "temperature" not in patterns:
+        patterns["torque"] = ("", "", 'is T torque or temperature? Write "T={}" here or in [temperature]')
+    return patterns
 
 
 def _behind(name: str, matches: list[re.Match[str]], unit: str, role: str, hyphens: int) -> tuple[str, str, str]:

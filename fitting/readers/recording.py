@@ -121,14 +121,16 @@ def open_with_mapping(
     if isinstance(mapping, FileMapping):
         return open_bench_file(path, mapping.dbc), mapping
     opened: dict[str | None, BenchFile] = {}  # a CAN log has the channels of its DBC
-    for dbc in dict.fromkeys(one.dbc for one in mapping.values()):
+    for dbc in dict.fromkeys(candidate.dbc for candidate in mapping.values()):
         try:
             opened[dbc] = open_bench_file(path, dbc)
         except edge.InputError as problem:
             refused = problem
     if not opened:
         raise refused
-    return chosen_mapping({name: (opened[one.dbc], one) for name, one in mapping.items() if one.dbc in opened})
+    return chosen_mapping(
+        {name: (opened[candidate.dbc], candidate) for name, candidate in mapping.items() if candidate.dbc in opened}
+    )
 
 
 class RecordingStream:
@@ -171,7 +173,7 @@ class RecordingStream:
         self.source = f"{path}, {run}" if run else self._path
         self._file, self._mapping = open_with_mapping(path, mapping)
         given = mapping.values() if isinstance(mapping, Mapping) else [self._mapping]
-        self._by_names = all(self._mapping is not one for one in given)
+        self._by_names = all(self._mapping is not candidate for candidate in given)
         self._scales = scales_of(self._file, self._mapping)
         self.timed = self._file.timed or self._mapping.time is not None
         self.pulley = 1.0 if self._mapping.pulley is None else self._mapping.pulley.ratio
@@ -289,7 +291,7 @@ class RecordingStream:
         rollover = {n: m.rollover for n in ANGLES if (m := getattr(self._mapping, n))}
         cleaning = Cleaning(rollover, self.source, self.ratio, pulley=self._pulley, timed=self.timed)
         names = list(dict.fromkeys(column for column, _, _ in self._scales.values()))
-        kept = 0
+        samples = 0
         pieces = pieces_of(self._file, names)
         merged = (merge.add(piece) for piece in (_backwards(pieces) if self._mapping.last_row_first else pieces))
         speed = np.zeros(2)
@@ -304,7 +306,7 @@ class RecordingStream:
 
         for block in cleaned():
             if block is not None and block.time.size:
-                kept += block.time.size
+                samples += block.time.size
                 yield block
         notes = [*self._clock_notes(), *merge.notes(), *cleaning.notes()]
         self.notes = [*self._file.problems, *(f"{self.source}: {n}" for n in notes)]
@@ -327,9 +329,11 @@ class RecordingStream:
                 f"errors of pulley and encoder, at multiples of order {abs(self.pulley):g} of the output, are in the "
                 "transmission error too."
             )
-        if kept < 2:
+        if samples < 2:
             raise edge.InputError(
-                " ".join([*self.notes, f"{self.source}: the recording has {kept or 'no'} samples; a curve needs more."])
+                " ".join(
+                    [*self.notes, f"{self.source}: the recording has {samples or 'no'} samples; a curve needs more."]
+                )
             )
 
     def read(self) -> Recording:

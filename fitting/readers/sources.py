@@ -141,9 +141,9 @@ def each_source(recordings: _Given | Iterable[_Given]) -> list[_Given]:
         given = list(recordings)
     else:
         given = [recordings]
-    for one in given:
-        if isinstance(one, str | os.PathLike):
-            path = os.fspath(one)
+    for source in given:
+        if isinstance(source, str | os.PathLike):
+            path = os.fspath(source)
             raise edge.ArgumentError("recordings", f"read it first: fitting.read_recordings({path!r})", path)
     return given
 
@@ -187,7 +187,7 @@ def read_recordings(
     >>> import fitting, pathlib
     >>> for load in (20, 200):
     ...     _ = pathlib.Path(f"{load:03}Nm.csv").write_text("time [s],output_angle [rad],torque [N*m]")
-    >>> [one.path.name for one in fitting.read_recordings("*0Nm.csv")]
+    >>> [recording.path.name for recording in fitting.read_recordings("*0Nm.csv")]
     ['020Nm.csv', '200Nm.csv']
     """
     if read_head is not None and not isinstance(read_head, ReadHead):
@@ -195,10 +195,10 @@ def read_recordings(
     given = [paths] if isinstance(paths, str | os.PathLike) else paths
     mappings = _mappings(mapping)
     return [
-        RecordingFile(path, one, read_head, run)
+        RecordingFile(path, of_run, read_head, run)
         for pattern in given
         for path in _files(pattern)
-        for run, one in _runs(path, mappings)
+        for run, of_run in _runs(path, mappings)
     ]
 
 
@@ -206,11 +206,11 @@ def _mappings(mapping: Mappings | None) -> dict[str, FileMapping]:
     """Return the given mappings by name."""
     given = [] if mapping is None else [mapping] if isinstance(mapping, FileMapping | str | os.PathLike) else mapping
     file_mappings: dict[str, FileMapping] = {}
-    for number, one in enumerate(given, start=1):
-        if isinstance(one, FileMapping):
-            file_mappings[f"mapping {number}"] = one
+    for number, candidate in enumerate(given, start=1):
+        if isinstance(candidate, FileMapping):
+            file_mappings[f"mapping {number}"] = candidate
         else:
-            file_mappings[str(one)] = read_mapping(one)
+            file_mappings[str(candidate)] = read_mapping(candidate)
     return file_mappings
 
 
@@ -232,7 +232,7 @@ def _runs(
 def _files(pattern: str | os.PathLike[str]) -> Iterator[Path]:
     if Path(pattern).exists() or not glob.has_magic(str(pattern)):
         yield Path(pattern)
-    elif found := sorted(glob.glob(str(pattern), recursive=True)):
-        yield from map(Path, found)
+    elif paths := sorted(glob.glob(str(pattern), recursive=True)):
+        yield from map(Path, paths)
     else:
         raise edge.InputError(f"{pattern}: no file matches this pattern.")

@@ -129,13 +129,13 @@ class _Table:
 
     def misfits(self, row: int) -> list[str]:
         """Return the cells of a row that are not of their column's kind, in the columns of numbers and stamps."""
-        found = zip(self.rows[row], self.cells[row], self.kinds, strict=True)
-        return [cell for cell, kind, column in found if column != "text" and kind not in ("", column)]
+        columns = zip(self.rows[row], self.cells[row], self.kinds, strict=True)
+        return [cell for cell, kind, column in columns if column != "text" and kind not in ("", column)]
 
     def fits(self, row: int) -> list[str]:
         """Return the cells of a row that are values of their column's kind."""
-        found = zip(self.rows[row], self.cells[row], self.kinds, strict=True)
-        return [cell for cell, kind, column in found if column != "text" and kind == column]
+        columns = zip(self.rows[row], self.cells[row], self.kinds, strict=True)
+        return [cell for cell, kind, column in columns if column != "text" and kind == column]
 
     def begin(self) -> int:
         """Return the index of the first row of data.
@@ -204,8 +204,8 @@ def find_dialect(data: bytes, source: str) -> Dialect:
         lines = lines[:-1]  # the last line may be incomplete
     if not any(line.strip() for line in lines):
         raise edge.InputError(f"{source}: the file is empty.")
-    found = ((delimiter, _table(lines, delimiter)) for delimiter in _DELIMITERS)
-    delimiter, table = next(((d, t) for d, t in found if t is not None), ("", None))
+    tables = ((delimiter, _table(lines, delimiter)) for delimiter in _DELIMITERS)
+    delimiter, table = next(((d, t) for d, t in tables if t is not None), ("", None))
     if table is None:
         delimiter = max(_DELIMITERS, key=lines[0].count)
         header = next(csv.reader([lines[0]], delimiter=delimiter))

@@ -60,11 +60,11 @@ def write_certificate(figures: Figures, certificate: Certificate, path: str | os
     instruments = [
         [
             name.replace("_", " "),
-            one.name or "not stated",
-            one.serial_number or "not stated",
-            "not stated" if one.calibrated is None else one.calibrated.isoformat(),
+            instrument.name or "not stated",
+            instrument.serial_number or "not stated",
+            "not stated" if instrument.calibrated is None else instrument.calibrated.isoformat(),
         ]
-        for name, one in figures.instruments.stated.items()
+        for name, instrument in figures.instruments.stated.items()
     ]
     page = html_page(
         "Certificate of measurement",
@@ -88,7 +88,7 @@ def write_certificate(figures: Figures, certificate: Certificate, path: str | os
 
 def _loads(figures: Figures) -> list[tuple[str, str]]:
     """Return the conditions of the recordings as rows (name, text)."""
-    warm = [t for one in figures.surveyed if (t := one.overview.temperature) is not None]
+    warm = [t for recording in figures.surveyed if (t := recording.overview.temperature) is not None]
     rows = [
         ("Ratio", "" if figures.ratio is None else f"{figures.ratio:g}"),
         ("Rated torque", "" if figures.rated_torque is None else f"{figures.rated_torque:.5g} N·m"),
@@ -96,7 +96,7 @@ def _loads(figures: Figures) -> list[tuple[str, str]]:
     if warm:
         low, high = min(np.nanmin(t) for t in warm) - 273.15, max(np.nanmax(t) for t in warm) - 273.15
         rows.append(("Temperature as recorded", f"{low:.1f} … {high:.1f} °C"))
-    rows.append(("Recordings", ", ".join(Path(one.source).name for one in figures.surveyed)))
+    rows.append(("Recordings", ", ".join(Path(recording.source).name for recording in figures.surveyed)))
     return rows
 
 
@@ -151,17 +151,17 @@ def _limit_panels(decisions: list[Decision]) -> list[Panel]:
     """Return the panel of decided figures with ± U, in percent of the upper limit, or of the lower one without it."""
     traces = []
     shown = [decision for decision in decisions if math.isfinite(decision.value)]
-    for row, one in enumerate(shown):
-        whole = one.high if math.isfinite(one.high) and one.high != 0.0 else one.low
+    for row, decision in enumerate(shown):
+        whole = decision.high if math.isfinite(decision.high) and decision.high != 0.0 else decision.low
         scale = 100.0 / whole if whole else 100.0
         y = np.array([-row, -row], float)
-        if math.isfinite(one.expanded):
-            ends = np.array([one.value - one.expanded, one.value + one.expanded]) * scale
+        if math.isfinite(decision.expanded):
+            ends = np.array([decision.value - decision.expanded, decision.value + decision.expanded]) * scale
             traces.append(Trace("value ± U" if row == 0 else "", ends, y, "thick", 0))
         # From zero, so that a small margin to the limit looks small.
-        traces.append(Trace("", np.array([0.0, one.value * scale]), y, "thin", -1))
-        traces.append(Trace("", np.array([one.value * scale]), y[:1], "points", -1, (one.verdict,)))
-        for bound in (one.low, one.high):
+        traces.append(Trace("", np.array([0.0, decision.value * scale]), y, "thin", -1))
+        traces.append(Trace("", np.array([decision.value * scale]), y[:1], "points", -1, (decision.verdict,)))
+        for bound in (decision.low, decision.high):
             if math.isfinite(bound):
                 label = "" if any(t.label == "limit" for t in traces) else "limit"
                 at = np.full(2, bound * scale)
@@ -169,5 +169,5 @@ def _limit_panels(decisions: list[Decision]) -> list[Panel]:
     if not shown:
         return []
     caption = "In percent of the upper limit, or of the lower limit if there is no upper limit."
-    names = tuple(title_of(one.figure) for one in shown)
+    names = tuple(title_of(decision.figure) for decision in shown)
     return [Panel("Figures and their limits", "percentage of the limit [%]", "", tuple(traces), caption, y_names=names)]

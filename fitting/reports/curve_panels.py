@@ -54,12 +54,12 @@ def band_panels(drive: Drive, drawn: Sequence[Drive], torque: float) -> list[Pan
     """Return the error of a drive at a torque, N·m, with the 95 % band of drawn ones, and the difference."""
     angle = np.linspace(0.0, 2.0 * np.pi * abs(drive.ratio), 24 * round(abs(drive.ratio)), endpoint=False)
 
-    def error(one: Drive) -> Array:
-        solved = solve(DriveValue(one.pair, one.surface), torque, angle, with_play=False)
+    def error(drive: Drive) -> Array:
+        solved = solve(DriveValue(drive.pair, drive.surface), torque, angle, with_play=False)
         return np.asarray(solved.transmission_error[0] * ARCSEC)
 
     identified, turns = error(drive), angle / (2.0 * np.pi)
-    low, high = np.quantile([error(one) for one in drawn], [0.025, 0.975], axis=0)
+    low, high = np.quantile([error(drive) for drive in drawn], [0.025, 0.975], axis=0)
     whole = (
         band(f"95 % of {len(drawn)} drawn", turns, low, high),
         Trace("identified", turns, identified, "thin"),

@@ -61,12 +61,12 @@ def draw_panel(axis: Axes, panel: Panel) -> None:
         axis.set_yscale("log")
     if panel.log_x:
         axis.set(xscale="log", xlim=x_range(panel))
-    for logarithmic, one in ((panel.log_x, axis.xaxis), (panel.log_y, axis.yaxis)):
-        low, high = one.get_view_interval()
+    for logarithmic, scaled in ((panel.log_x, axis.xaxis), (panel.log_y, axis.yaxis)):
+        low, high = scaled.get_view_interval()
         if logarithmic and high < _FEW_DECADES * low:
-            one.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            one.set_major_formatter(StrMethodFormatter("{x:g}"))
-            one.set_minor_formatter(NullFormatter())
+            scaled.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            scaled.set_major_formatter(StrMethodFormatter("{x:g}"))
+            scaled.set_minor_formatter(NullFormatter())
     axis.set(**{f"{name}lim": ends for name, ends in (("x", panel.x_limits), ("y", panel.y_limits)) if ends})
     if panel.y_names:
         axis.set_yticks([-float(row) for row in range(len(panel.y_names))], panel.y_names, fontsize=7)
@@ -83,11 +83,11 @@ def draw_panel(axis: Axes, panel: Panel) -> None:
         above = high + (0.6 if panel.log_x else 0.25) * (high - low)  # room for names
         axis.set_ylim(top=float(scale.inverted().transform(above)))
     if panel.log_x:
-        for x, y, place, text in names_above(panel):
+        for x, y, position, text in names_above(panel):
             axis.annotate(
                 text,
                 (x, y),
-                (place, 0.99),
+                (position, 0.99),
                 textcoords="axes fraction",
                 rotation=90,
                 fontsize=7,
@@ -99,12 +99,12 @@ def draw_panel(axis: Axes, panel: Panel) -> None:
 
 def _draw_maps(figure: Figure, axes: Sequence[Axes], panel: Panel) -> None:
     """Draw the maps of a panel side by side, on one colour scale."""
-    values = np.concatenate([one.z.ravel() for one in panel.heat])
-    for axis, one in zip(axes, panel.heat, strict=True):
-        drawn = axis.imshow(one.z, origin="lower", aspect="auto", vmin=np.nanmin(values), vmax=np.nanmax(values))
-        axis.set_xticks(range(one.x.size), ["" if np.isnan(v) else f"{v:.4g}" for v in one.x], fontsize=6)
-        axis.set_yticks(range(one.y.size), ["" if np.isnan(v) else f"{v:.4g}" for v in one.y], fontsize=6)
-        axis.set_title(f"{panel.title}\n{one.name}" if axis is axes[0] else one.name, fontsize=7, loc="left")
+    values = np.concatenate([heat.z.ravel() for heat in panel.heat])
+    for axis, heat in zip(axes, panel.heat, strict=True):
+        drawn = axis.imshow(heat.z, origin="lower", aspect="auto", vmin=np.nanmin(values), vmax=np.nanmax(values))
+        axis.set_xticks(range(heat.x.size), ["" if np.isnan(v) else f"{v:.4g}" for v in heat.x], fontsize=6)
+        axis.set_yticks(range(heat.y.size), ["" if np.isnan(v) else f"{v:.4g}" for v in heat.y], fontsize=6)
+        axis.set_title(f"{panel.title}\n{heat.name}" if axis is axes[0] else heat.name, fontsize=7, loc="left")
         axis.grid(visible=False)
         axis.set_xlabel(panel.x_label, fontsize=6)
     axes[0].set_ylabel(panel.y_label, fontsize=6)

@@ -47,7 +47,7 @@ def figure_rows(figures: Figures) -> list[dict[str, str]]:
     for name, figure in figures.shown.items():
         definition = f"{figure.definition}. Here it {figure.remark}" if figure.remark else figure.definition
         rows.append(_row(title_of(name), figure, definition=definition))
-        rows += [_row(part, one, part="yes") for part, one in figure.shown.items()]
+        rows += [_row(part, of_part, part="yes") for part, of_part in figure.shown.items()]
     return rows
 
 
@@ -75,18 +75,18 @@ def _row(name: str, figure: Figure, *, definition: str = "", part: str = "") -> 
 def sources_of(figures: Figures) -> list[dict[str, str]]:
     """Return the table of recordings: file, kind, samples, time, temperature and checksum."""
     rows = []
-    for one in figures.surveyed:
-        temperature = one.overview.temperature
+    for recording in figures.surveyed:
+        temperature = recording.overview.temperature
         warm = "" if temperature is None else f"{np.nanmean(temperature) - 273.15:.1f} °C"
-        kind = "loops" if one.loops is not None else "run"
+        kind = "loops" if recording.loops is not None else "run"
         rows.append(
             {
-                "name": Path(one.source).name,
+                "name": Path(recording.source).name,
                 "kind": kind,
-                "samples": f"{one.samples:,}",
-                "time": f"{one.duration:.4g} s" if one.overview.timed else "unknown",
+                "samples": f"{recording.samples:,}",
+                "time": f"{recording.duration:.4g} s" if recording.overview.timed else "unknown",
                 "temperature": warm,
-                "checksum": one.checksum,
+                "checksum": recording.checksum,
             }
         )
     return rows
@@ -198,7 +198,7 @@ def _text_lines(figures: Figures) -> list[tuple[str, dict[str, Any]]]:
         lines.append((text, mono))
         if row["definition"]:
             text = f"{row['definition']}; {row['interval']}" if row["interval"] else row["definition"]
-            lines += [(f"    {one}", {"color": "#555555", "fontsize": 7}) for one in textwrap.wrap(text, 120)]
+            lines += [(f"    {line}", {"color": "#555555", "fontsize": 7}) for line in textwrap.wrap(text, 120)]
     for title, table in budget_tables(figures):
         lines += [("", {}), (f"Uncertainty budget: {title}", heading)]
         for cells in (BUDGET_HEAD, *table):
@@ -210,7 +210,7 @@ def _text_lines(figures: Figures) -> list[tuple[str, dict[str, Any]]]:
         lines += [("{:<30} {:>12} {:>12} {:<10} {}".format(*row), mono) for row in (ORDERS_HEAD, *orders)]
     lines += [("", {}), ("Excluded data and notes", heading)]
     for note in figures.notes or ("No data were excluded.",):
-        lines += [(one, {}) for one in textwrap.wrap(note, 112, subsequent_indent="    ")]
+        lines += [(line, {}) for line in textwrap.wrap(note, 112, subsequent_indent="    ")]
     lines += [("", {}), ("Recordings", heading)]
     for s in sources_of(figures):
         lines.append(

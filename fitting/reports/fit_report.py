@@ -63,12 +63,12 @@ def _loop_panels(loop: LoopFit) -> list[Panel]:
     """Return panels of a loop as measured and fitted, and of its residual, by branch."""
     name, torque = f"Hysteresis loop: {Path(loop.source).name}", "torque on the output [N·m]"
     middle = float(np.mean(list(loop.measured.values())))
-    both, left = [], []
+    both, residuals = [], []
     for number, (branch, at) in enumerate(loop.torque.items()):
         measured, fitted = loop.measured[branch], loop.fitted[branch]
         both.append(Trace("measured" if number == 0 else "", at, (measured - middle) * ARCMIN, "points", -1))
         both.append(Trace(branch, at, (fitted - middle) * ARCMIN, "thin", number))
-        left.append(Trace(branch, at, (measured - fitted) / _ARC, "thin", number))
+        residuals.append(Trace(branch, at, (measured - fitted) / _ARC, "thin", number))
     return [
         Panel(
             name,
@@ -78,7 +78,9 @@ def _loop_panels(loop: LoopFit) -> list[Panel]:
             f"Input locked at a crank angle of {np.degrees(loop.crank_angle):.1f}°. Points are means over the "
             "torque; lines are the fit, outside play and friction.",
         ),
-        Panel(f"{name}: residual", torque, "measured minus fitted [arcsec]", tuple(left), "Each branch separately."),
+        Panel(
+            f"{name}: residual", torque, "measured minus fitted [arcsec]", tuple(residuals), "Each branch separately."
+        ),
     ]
 
 
@@ -88,16 +90,16 @@ def _intervals(parameters: Sequence[Parameter]) -> Panel:
         Trace("95 % interval" if i == 0 else "", np.array(p.interval) * 1e6, np.array([-i, -i], float), "thick", 0)
         for i, p in enumerate(shown)
     ]
-    at, place = np.array([p.value * 1e6 for p in shown]), -np.arange(float(len(shown)))
+    at, rows = np.array([p.value * 1e6 for p in shown]), -np.arange(float(len(shown)))
     ends = np.array([at, *zip(*(t.x for t in lines), strict=True)]) if lines else np.zeros((1, 1))
-    beside = np.full(at.size, np.nanmax(ends) + 0.15 * max(np.nanmax(ends) - np.nanmin(ends), 1e-3))
+    column = np.full(at.size, np.nanmax(ends) + 0.15 * max(np.nanmax(ends) - np.nanmin(ends), 1e-3))
     # In a separate column: next to the points they would overlap.
-    values = Trace("", beside, place, "words", -1, tuple(f"{value:.2f}" for value in at))
+    values = Trace("", column, rows, "words", -1, tuple(f"{value:.2f}" for value in at))
     return Panel(
         "Identified errors",
         "error [µm]",
         "",
-        (*lines, Trace("", at, place, "dots", 1), values),
+        (*lines, Trace("", at, rows, "dots", 1), values),
         "Errors with their 95 % intervals; values in the column on the right.",
         y_names=tuple(p.name for p in shown),
     )
@@ -209,15 +211,11 @@ def _allowed(name: str, tolerances: Tolerances) -> str:
 
 def _with_interval(parameter: Parameter) -> str:
     """Return a displacement in µm, or a phase in degrees, with its half interval; in brackets if not measured."""
-    factor = 1e6 if parameter.unit == "m" else math.degrees(1.0)
-    told = (
-        ""
-        if math.isnan(parameter.interval[0])
-        else f"\u00a0±\u00a0{NORMAL * parameter.standard_error * factor:.{3 if parameter.unit == 'm' else 1}f}"
-    )
-    text = (
-        f"{parameter.value * factor:.{3 if parameter.unit == 'm' else 1}f}{told}{'' if parameter.unit == 'm' else '°'}"
-    )
+    factor, digits, unit = (1e6, 3, "") if parameter.unit == "m" else (math.degrees(1.0), 1, "°")
+    text = f"{parameter.value * factor:.{digits}f}"
+    if not math.isnan(parameter.interval[0]):
+        text += f"\u00a0±\u00a0{NORMAL * parameter.standard_error * factor:.{digits}f}"
+    text += unit
     return f"({text})" if parameter.held else text
 
 
@@ -229,13 +227,15 @@ def _ring_tables(ring: Realised) -> list[dict[str, Any]]:
         [i, *(_with_interval(circle[i]) if i < len(circle) else "" for circle in circles)]
         for i in range(max(len(circle) for circle in circles))
     ]
-    stated = {one.name: one for one in ring.orders}
+    stated = {parameter.name: parameter for parameter in ring.orders}
     orders = []
     for order in range(ORDERS_STATED + 1):
         row = []
         for name in ring.circles:
-            found = [stated.get(f"{name}_{order}{part}") for part in ("", "_amplitude", "_phase")]
-            row.append(" at ".join(_with_interval(one) for one in found if one is not None) or "–")
+            parameters = [stated.get(f"{name}_{order}{part}") for part in ("", "_amplitude", "_phase")]
+            row.append(
+                " at ".join(_with_interval(parameter) for parameter in parameters if parameter is not None) or "–"
+            )
         orders.append([order, *row])
     return [
         {
@@ -274,21 +274,21 @@ def _trust(result: Identification) -> list[str]:
         f"{result.residual / _ARC:.3f}″ rms residual of the curves; the noise of a point is {result.noise / _ARC:.3f}″."
     ]
     if result.held_out is not None:
-        kept = result.held_out
+        prediction = result.held_out
         trust.append(
-            f"{kept.loads} were held out from a first fit, which predicts them: residual {kept.residual / _ARC:.3f}″ "
-            f"rms, {kept.residual / kept.noise:.2f} times the noise."
+            f"{prediction.loads} were held out from a first fit, which predicts them: residual "
+            f"{prediction.residual / _ARC:.3f}″ rms, {prediction.residual / prediction.noise:.2f} times the noise."
         )
     else:
         trust.append("No curve was held out for prediction, which requires three curves.")
     scatter = ", ".join(f"{n} {v * 1e6:.2f} µm" for n, v in result.scatter.items())
     trust.append(f"Scatter of single pins and teeth beyond the errors of the table: {scatter} (standard deviations).")
     for loop in result.loops:
-        left = np.concatenate([loop.measured[n] - loop.fitted[n] for n in loop.fitted])
+        residual = np.concatenate([loop.measured[n] - loop.fitted[n] for n in loop.fitted])
         trust.append(
             f"{Path(loop.source).name}: the play at the crank angle {np.degrees(loop.crank_angle):.1f}° is "
             f"{loop.play / _ARC:.2f} ± {1.96 * loop.standard_error / _ARC:.2f}″ from the identified errors; "
-            f"{np.sqrt(np.mean(left**2)) / _ARC:.3f}″ rms residual of the loop's points."
+            f"{np.sqrt(np.mean(residual**2)) / _ARC:.3f}″ rms residual of the loop's points."
         )
     if result.inflation > 1.0:
         trust.append(f"The residual is not white: intervals are {result.inflation:.2f} times those of white noise.")
@@ -299,8 +299,8 @@ def write_fit_report(result: Identification, path: str | os.PathLike[str]) -> No
     """Write the report of a fit as one self-contained HTML file; never a partial file."""
     target, pair = edge.output_path(path, "path", FORMATS), result.pair
     shown = [effect for effect in result.effects if effect.peak_to_peak > _SHOWN * result.effects[0].peak_to_peak]
-    left = len(result.effects) - len(shown)
-    rest = f"{left} more errors have an effect below {100.0 * _SHOWN:g} % of the largest. " if left else ""
+    more = len(result.effects) - len(shown)
+    rest = f"{more} more errors have an effect below {100.0 * _SHOWN:g} % of the largest. " if more else ""
     text = html_page(
         "Identified drive",
         f"{pair.gear_teeth}/{pair.pins}, {len(result.curves)} curves, {made_now()}",
@@ -311,7 +311,7 @@ def write_fit_report(result: Identification, path: str | os.PathLike[str]) -> No
         has_index=all(c.known_index for c in result.curves),
         drawing=result.tolerances is not None,
         rest=rest,
-        effects=[_effect_row(one, result.tolerances) for one in shown],
+        effects=[_effect_row(effect, result.tolerances) for effect in shown],
         known=[_row(p) for p in (*result.parameters, *result.bearings, *result.coefficients) if p.held is None],
         trust=_trust(result),
         correlation=_correlation(result),
@@ -330,8 +330,8 @@ def write_fit_report(result: Identification, path: str | os.PathLike[str]) -> No
 def _bench_rows(result: Identification) -> list[tuple[str, str]]:
     """Return the bench's unknowns as rows: run-out by orders, causes of misfit by their size, the others by name."""
     rows = [
-        (f"run-out, order {one.order} of the {one.shaft}", one.text.partition(f"{one.shaft} ")[2])
-        for one in result.run_out
+        (f"run-out, order {run_out.order} of the {run_out.shaft}", run_out.text.partition(f"{run_out.shaft} ")[2])
+        for run_out in result.run_out
     ]
     rows += [
         (f"{SENTENCES.get(misfit.cause, misfit.cause)}, rms", f"{misfit.size * ARCSEC:.3g}″")

@@ -17,12 +17,12 @@ def friction_panels(friction_fit: FrictionFit) -> list[Panel]:
     edge.InputError
         If no friction over speed was fitted.
     """
-    made, load = friction_fit.stretches, friction_fit.loads
-    if not made.speed.size:
+    stretches, load = friction_fit.stretches, friction_fit.loads
+    if not stretches.speed.size:
         raise edge.InputError("There is no plot of starting torques alone; metrics --plot has one.")
     used = np.isfinite(friction_fit.fitted)
-    speed, torque = made.speed[used], (made.torque - sum(friction_fit.removed.values()))[used]
-    block, recording, fitted = made.block[used], made.recording[used], friction_fit.fitted[used]
+    speed, torque = stretches.speed[used], (stretches.torque - sum(friction_fit.removed.values()))[used]
+    block, recording, fitted = stretches.block[used], stretches.recording[used], friction_fit.fitted[used]
     count = np.bincount(block)
     at = count > 0
     middle, mean, rest = (np.bincount(block, v)[at] / count[at] for v in (speed, torque, torque - fitted))

@@ -26,7 +26,7 @@ _BELOW = """<h2>Excluded data and notes</h2>
 """
 
 
-def map_panels(found: xr.Dataset) -> list[Panel]:
+def map_panels(dataset: xr.Dataset) -> list[Panel]:
     """Return one panel for each map and direction, in field units; of a single condition, one panel with bars.
 
     Parameters
@@ -34,8 +34,8 @@ def map_panels(found: xr.Dataset) -> list[Panel]:
     found
         Result of `fitting.maps`.
     """
-    if found.torque.size == found.speed.size == found.temperature.size == 1:
-        return [_bars(found)]
+    if dataset.torque.size == dataset.speed.size == dataset.temperature.size == 1:
+        return [_bars(dataset)]
     two = [("forward", "forward"), ("backward", "backward")]
     shown = [
         ("angular_transmission_error", "Angular transmission error", "arcsec", ARCSEC, two),
@@ -52,26 +52,26 @@ def map_panels(found: xr.Dataset) -> list[Panel]:
     panels = []
     for name, title, unit, factor, ways in shown:
         for direction, text in ways:
-            values = found[name].sel(direction=direction) if direction else found[name]
-            panels += _panel(f"{title}{', ' if text else ''}{text}", unit, found, values * factor)
-    for order, kind in zip(found.order.values, found.order_name.values, strict=True):
+            values = dataset[name].sel(direction=direction) if direction else dataset[name]
+            panels += _panel(f"{title}{', ' if text else ''}{text}", unit, dataset, values * factor)
+    for order, kind in zip(dataset.order.values, dataset.order_name.values, strict=True):
         for direction, text in two:
-            values = found.order_amplitude.sel(order=order, direction=direction) * ARCSEC
+            values = dataset.order_amplitude.sel(order=order, direction=direction) * ARCSEC
             of = f" ({kind})" if kind else ""
-            panels += _panel(f"Order {order}{of}, amplitude, {text}", "arcsec", found, values)
+            panels += _panel(f"Order {order}{of}, amplitude, {text}", "arcsec", dataset, values)
     return panels
 
 
-def _bars(found: xr.Dataset) -> Panel:
+def _bars(dataset: xr.Dataset) -> Panel:
     """Return the values of a single condition as bars, rad as arcsec."""
     values: list[tuple[str, xr.DataArray]] = [
-        ("angular transmission error", found.angular_transmission_error),
-        ("the same without the rig's orders", found.angular_transmission_error_without_rig),
-        ("gap between directions", found.gap),
+        ("angular transmission error", dataset.angular_transmission_error),
+        ("the same without the rig's orders", dataset.angular_transmission_error_without_rig),
+        ("gap between directions", dataset.gap),
     ]
     values += [
-        (f"order {order}" + (f", {kind}" if kind else ""), found.order_amplitude.sel(order=order))
-        for order, kind in zip(found.order.values, found.order_name.values, strict=True)
+        (f"order {order}" + (f", {kind}" if kind else ""), dataset.order_amplitude.sel(order=order))
+        for order, kind in zip(dataset.order.values, dataset.order_name.values, strict=True)
     ]
     bars = [
         (name, direction, (each.sel(direction=direction) if direction else each).values.item() * ARCSEC)
@@ -85,13 +85,13 @@ def _bars(found: xr.Dataset) -> Panel:
         at = np.full(2, -float(row))
         traces.append(Trace(label, np.array([0.0, value]), at, "thick", ("forward", "backward", "").index(direction)))
     lengths = np.array([value for *_, value in bars])
-    beside = np.full(lengths.size, lengths.max() + 0.08 * np.ptp([0.0, *lengths]))
+    column = np.full(lengths.size, lengths.max() + 0.08 * np.ptp([0.0, *lengths]))
     texts = tuple(f"{value:.3g}" for value in lengths)
-    traces.append(Trace("", beside, -np.arange(float(lengths.size)), "words", -1, texts))
+    traces.append(Trace("", column, -np.arange(float(lengths.size)), "words", -1, texts))
     stated = (
-        ("torque", float(found.torque[0]), "N·m"),
-        ("speed", float(found.speed[0]) * _RPM, "rpm"),
-        ("temperature", float(found.temperature[0]) - 273.15, "°C"),
+        ("torque", float(dataset.torque[0]), "N·m"),
+        ("speed", float(dataset.speed[0]) * _RPM, "rpm"),
+        ("temperature", float(dataset.temperature[0]) - 273.15, "°C"),
     )
     condition = ", ".join(f"{name} {value:.4g} {unit}" for name, value, unit in stated if np.isfinite(value))
     caption = "Largest minus smallest transmission error, and amplitudes of orders of the output turn."
@@ -99,16 +99,16 @@ def _bars(found: xr.Dataset) -> Panel:
     return Panel(f"One condition: {condition}", "[arcsec]", "", tuple(traces), caption, y_names=names)
 
 
-def _panel(title: str, unit: str, found: xr.Dataset, values: xr.DataArray) -> list[Panel]:
+def _panel(title: str, unit: str, dataset: xr.Dataset, values: xr.DataArray) -> list[Panel]:
     """Return a panel with one map per temperature; lines over the only axis with several values; [] if empty."""
     if not np.isfinite(values).any():
         return []
-    names = tuple("" if not np.isfinite(t) else f"{t - 273.15:.4g} °C" for t in found.temperature.values)
+    names = tuple("" if not np.isfinite(t) else f"{t - 273.15:.4g} °C" for t in dataset.temperature.values)
     labels = {"torque": "torque [N·m]", "speed": "speed [rpm]", "temperature": "temperature [°C]"}
     axes = {
-        "torque": found.torque.values,
-        "speed": found.speed.values * _RPM,
-        "temperature": found.temperature.values - 273.15,
+        "torque": dataset.torque.values,
+        "speed": dataset.speed.values * _RPM,
+        "temperature": dataset.temperature.values - 273.15,
     }
     several = [name for name in ("torque", "speed") if axes[name].size > 1]
     if len(several) < 2:
@@ -128,8 +128,8 @@ def _panel(title: str, unit: str, found: xr.Dataset, values: xr.DataArray) -> li
     maps = tuple(
         HeatMap(
             name,
-            found.torque.values,
-            found.speed.values * _RPM,
+            dataset.torque.values,
+            dataset.speed.values * _RPM,
             values.isel(temperature=i).transpose("speed", "torque").values,
         )
         for i, name in enumerate(names)
@@ -137,23 +137,23 @@ def _panel(title: str, unit: str, found: xr.Dataset, values: xr.DataArray) -> li
     return [Panel(f"{title} [{unit}]", labels["torque"], labels["speed"], (), "", heat=maps)]
 
 
-def write_maps_report(found: xr.Dataset, path: str | os.PathLike[str]) -> None:
+def write_maps_report(dataset: xr.Dataset, path: str | os.PathLike[str]) -> None:
     """Write the page of maps (HTML); never a partial file."""
     target = edge.output_path(path, "path", (".html",))
     signs = {
         "size": "Torque is the load's magnitude: its sign follows the direction.",
         "signed": "Torque is signed, of the environment on the output.",
     }
-    axis = f"{signs[found.attrs['torque_is']]} Forward: the crank angle increases. The gap is forward minus backward."
+    axis = f"{signs[dataset.attrs['torque_is']]} Forward: the crank angle increases. The gap is forward minus backward."
     text = html_page(
         "Maps of a drive",
-        f"ratio {found.attrs['ratio']:g}, {made_now()}",
+        f"ratio {dataset.attrs['ratio']:g}, {made_now()}",
         _ABOVE,
-        map_panels(found),
+        map_panels(dataset),
         _BELOW,
-        curves=found.attrs["curves"],
+        curves=dataset.attrs["curves"],
         axis=axis,
-        notes=[n for n in found.attrs["notes"].split("\n") if n],
+        notes=[n for n in dataset.attrs["notes"].split("\n") if n],
     )
     with edge.written_whole(target) as temporary:
         temporary.write_text(text, encoding="utf-8")

@@ -67,7 +67,7 @@ def script() -> str:
     edge.InputError
         If plotly is not installed; it names the extra.
     """
-    with edge.needs_extra("reports", lambda said: edge.InputError(f"report in HTML: {said}.")):
+    with edge.needs_extra("reports", lambda message: edge.InputError(f"report in HTML: {message}.")):
         from plotly.offline import get_plotlyjs
 
     return str(get_plotlyjs())
@@ -92,21 +92,21 @@ def _colour(trace: Trace) -> str:
 
 def _heat(panel: Panel) -> dict[str, Any]:
     """Return the plotly data of maps side by side on one colour scale."""
-    finite = np.concatenate([one.z[np.isfinite(one.z)] for one in panel.heat])
+    finite = np.concatenate([heat.z[np.isfinite(heat.z)] for heat in panel.heat])
     scale = {"cmin": float(finite.min()), "cmax": float(finite.max()), "colorscale": "Viridis"}
     layout: dict[str, Any] = {"margin": {"l": 60, "r": 20, "t": 30, "b": 55}, "coloraxis": scale}
     data, room, notes = [], 1.0 / len(panel.heat), []
-    for number, one in enumerate(panel.heat):
+    for number, heat in enumerate(panel.heat):
         key = "" if number == 0 else str(number + 1)
-        x, y = ([f"{v:.4g}" if np.isfinite(v) else "" for v in axis] for axis in (one.x, one.y))
-        z = [[None if np.isnan(v) else float(f"{v:.6g}") for v in row] for row in one.z]
+        x, y = ([f"{v:.4g}" if np.isfinite(v) else "" for v in axis] for axis in (heat.x, heat.y))
+        z = [[None if np.isnan(v) else float(f"{v:.6g}") for v in row] for row in heat.z]
         data.append(
             {
                 "type": "heatmap",
                 "x": x,
                 "y": y,
                 "z": z,
-                "name": one.name,
+                "name": heat.name,
                 "coloraxis": "coloraxis",
                 "xaxis": f"x{key}",
                 "yaxis": f"y{key}",
@@ -117,7 +117,7 @@ def _heat(panel: Panel) -> dict[str, Any]:
         layout[f"xaxis{key}"] = {"type": "category", "domain": domain, "anchor": f"y{key}", "tickfont": {"size": 10}}
         layout[f"yaxis{key}"] = {"type": "category", "anchor": f"x{key}", "showticklabels": number == 0}
         notes.append(
-            {"text": one.name, "x": sum(domain) / 2, "y": 1.06, "xref": "paper", "yref": "paper", "showarrow": False}
+            {"text": heat.name, "x": sum(domain) / 2, "y": 1.06, "xref": "paper", "yref": "paper", "showarrow": False}
         )
     layout["xaxis"]["title"], layout["yaxis"]["title"] = {"text": panel.x_label}, {"text": panel.y_label}
     return {"data": data, "layout": {**layout, "annotations": notes}}
@@ -204,7 +204,7 @@ def _name_above(panel: Panel, layout: dict[str, Any]) -> None:
             "text": text,
             "x": math.log10(x),
             "y": math.log10(y),
-            "ax": low + place * (high - low),
+            "ax": low + position * (high - low),
             "ay": highest + 0.3 * (highest - lowest),
             "axref": "x",
             "ayref": "y",
@@ -214,5 +214,5 @@ def _name_above(panel: Panel, layout: dict[str, Any]) -> None:
             "arrowwidth": 0.6,
             "arrowcolor": GREY,
         }
-        for x, y, place, text in names_above(panel)
+        for x, y, position, text in names_above(panel)
     ]

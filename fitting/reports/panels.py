@@ -130,7 +130,7 @@ def names_above(panel: Panel) -> list[tuple[float, float, float, str]]:
     # The positions closest to the points, subject to the least distance.
     places = isotonic_regression(ideal - _APART * number).x + _APART * number
     places = np.clip(places, _APART * number, 1.0 - _APART * number[::-1])
-    return [(x, y, float(place), text) for (x, y, text), place in zip(named, places, strict=True)]
+    return [(x, y, float(position), text) for (x, y, text), position in zip(named, places, strict=True)]
 
 
 def x_range(panel: Panel) -> tuple[float, float]:
@@ -180,8 +180,8 @@ def _lightened(panel: Panel) -> Panel:
             begins = np.arange(0, trace.x.size, length)
             parts = np.split(trace.y, begins[1:])
             lows, highs = ([b + int(f(p)) for b, p in zip(begins, parts, strict=True)] for f in (np.argmin, np.argmax))
-            kept = np.unique([0, *lows, *highs, trace.x.size - 1])
-            trace = dataclasses.replace(trace, x=trace.x[kept], y=trace.y[kept])
+            points = np.unique([0, *lows, *highs, trace.x.size - 1])
+            trace = dataclasses.replace(trace, x=trace.x[points], y=trace.y[points])
         traces.append(trace)
     return dataclasses.replace(panel, traces=tuple(traces))
 
@@ -230,8 +230,8 @@ def spectra_panel(
         traces.append(Trace("noise floor" if number == 0 else "", order, floor, "dashed", -1))
     largest = np.zeros(highest + 1)
     for _, of_curve in pairs:
-        kept = np.where(of_curve.significant, of_curve.amplitude, 0.0)[: highest + 1]
-        largest[: kept.size] = np.maximum(largest[: kept.size], kept * ARCSEC)
+        significant = np.where(of_curve.significant, of_curve.amplitude, 0.0)[: highest + 1]
+        largest[: significant.size] = np.maximum(largest[: significant.size], significant * ARCSEC)
     leading = np.array(_well_spaced(largest), dtype=int)
     names = tuple(f"{k} {order_name(int(k), pairs[0][0].ratio, pair)}".strip() for k in leading)
     traces.append(Trace("", leading.astype(float), largest[leading], "points", -1, names))
@@ -254,14 +254,14 @@ def _broken_orders(runs: Sequence[RunOrders]) -> list[Trace]:
     """Return traces of the orders that are no whole number: the largest of each run at each of them, with intervals."""
     traces = []
     for number, run in enumerate(runs):
-        broken = [one for one in run.orders if not one.whole][:_BROKEN]
+        broken = [order for order in run.orders if not order.whole][:_BROKEN]
         if not broken:
             continue
         order, size, interval = (
-            np.array([getattr(one, name) for one in broken]) for name in ("order", "amplitude", "uncertainty")
+            np.array([getattr(order, name) for order in broken]) for name in ("order", "amplitude", "uncertainty")
         )
         low, high = np.maximum(size - interval, 0.05 * size) * ARCSEC, (size + interval) * ARCSEC
-        names = tuple(f"{one.order:.4g} {one.source}".strip() for one in broken) if number == 0 else ()
+        names = tuple(f"{order.order:.4g} {order.source}".strip() for order in broken) if number == 0 else ()
         traces.append(Trace("", *stems(order, low, high), "thin", number))
         traces.append(Trace("no whole order" if number == 0 else "", order, size * ARCSEC, "points", -1, names))
     return traces
@@ -271,8 +271,8 @@ def _well_spaced(amplitude: Array) -> list[int]:
     """Return the orders to label: the largest, without those next to a larger one of similar size."""
     chosen: list[int] = []
     for order in np.argsort(-amplitude)[: np.count_nonzero(amplitude)]:
-        beside = [k for k in chosen if abs(k - order) < 0.06 * order]
-        if all(amplitude[k] > 2.0 * amplitude[order] for k in beside) and len(beside) < 2:
+        neighbours = [k for k in chosen if abs(k - order) < 0.06 * order]
+        if all(amplitude[k] > 2.0 * amplitude[order] for k in neighbours) and len(neighbours) < 2:
             chosen.append(int(order))
         if len(chosen) == _NAMED:
             break
@@ -357,13 +357,13 @@ def _stiffness_panel(figures: Figures) -> list[Panel]:
     for number, (side, sign) in enumerate(SIDES):
         of_side = [segment.parts[side] for segment in figure.segments.values() if side in segment.parts]
         label = side
-        for one in of_side:
-            assert one.interval is not None
-            at = sign * np.array(one.interval)
-            traces.append(Trace(label, at, np.full(2, one.value / ARCMIN), "thick", number))
+        for segment in of_side:
+            assert segment.interval is not None
+            at = sign * np.array(segment.interval)
+            traces.append(Trace(label, at, np.full(2, segment.value / ARCMIN), "thick", number))
             traces += [
                 Trace("", at, np.full(2, end / ARCMIN), "dashed", number)
-                for end in (one.value - one.uncertainty, one.value + one.uncertainty)
+                for end in (segment.value - segment.uncertainty, segment.value + segment.uncertainty)
             ]
             label = ""
     middles = [
@@ -388,11 +388,11 @@ def _start_panels(figures: Figures) -> list[Panel]:
     for (name, starts_of), timed in itertools.product(STARTS.items(), (True, False)):
         shaft = "input" if name == "starting_torque" else "output"
         traces: list[Trace] = []
-        for one in (s.overview for s in figures.surveyed if s.loops is None and s.overview.timed == timed):
-            torque = one.input_torque if shaft == "input" else one.torque
-            for start in starts_of(one, figures.ratio or one.ratio)[0]:
+        for overview in (s.overview for s in figures.surveyed if s.loops is None and s.overview.timed == timed):
+            torque = overview.input_torque if shaft == "input" else overview.torque
+            for start in starts_of(overview, figures.ratio or overview.ratio)[0]:
                 assert torque is not None
-                time = one.time[start.part] - one.time[start.part.start]
+                time = overview.time[start.part] - overview.time[start.part.start]
                 number = len(traces) // 2
                 traces.append(Trace("", time, np.abs(torque[start.part]), "thin", number))
                 at = slice(start.peak - start.part.start, start.peak - start.part.start + 1)
@@ -434,12 +434,12 @@ def _torque_panels(figures: Figures) -> list[Panel]:
     panels = []
     for timed, title, axis in ((True, "Torque over time", "time [s]"), (False, "Torque over samples", "sample")):
         traces = []
-        for number, one in enumerate(figures.surveyed):
-            time, torque = one.overview.time, one.overview.torque
-            if one.overview.timed != timed or np.isnan(torque).all():
+        for number, recording in enumerate(figures.surveyed):
+            time, torque = recording.overview.time, recording.overview.torque
+            if recording.overview.timed != timed or np.isnan(torque).all():
                 continue
             step = max(1, time.size // 5000)
-            traces.append(Trace(Path(one.source).name, time[::step] - time[0], torque[::step], "thin", number))
+            traces.append(Trace(Path(recording.source).name, time[::step] - time[0], torque[::step], "thin", number))
         if traces:
             panels.append(Panel(title, axis, "torque [N·m]", tuple(traces), "From the start of each recording."))
     return panels

@@ -165,17 +165,17 @@ def channel_panels(inspection: Inspection) -> list[Panel]:
     clock = inspection.roles.get("time")
     shown = [channel for channel in inspection.looks if channel is not clock]
     panels = []
-    for one in sorted(shown, key=lambda channel: channel.channel.name not in role_of)[:_CHANNELS]:
-        step = max(1, one.values.size // 20000)
-        x, label = np.arange(float(one.values.size)), "sample"
-        if one.time is not None:
-            x, label = one.time, "time [s]"
+    for look in sorted(shown, key=lambda channel: channel.channel.name not in role_of)[:_CHANNELS]:
+        step = max(1, look.values.size // 20000)
+        x, label = np.arange(float(look.values.size)), "sample"
+        if look.time is not None:
+            x, label = look.time, "time [s]"
         elif clock is not None:
             x, label = clock.values, f"{clock.channel.name} [{clock.channel.unit or 'no unit'}]"
-        role = role_of.get(one.channel.name)
-        title = one.channel.name + (f": {role}?" if role else "")
-        line = Trace("", x[::step], one.values[::step], "thin")
-        panels.append(Panel(title, label, one.channel.unit or "no unit", (line,), ""))
+        role = role_of.get(look.channel.name)
+        title = look.channel.name + (f": {role}?" if role else "")
+        line = Trace("", x[::step], look.values[::step], "thin")
+        panels.append(Panel(title, label, look.channel.unit or "no unit", (line,), ""))
     return panels
 
 

@@ -28,8 +28,8 @@ def ring_panel(ring: Realised) -> Panel:
     """Return the panel of circles of pins and teeth side by side, with displacements drawn outwards and enlarged."""
     values = np.array([element.value for element in ring.elements]) * 1e6
     ends = np.array([element.interval for element in ring.elements]) * 1e6
-    told = bool(np.isfinite(ends).all())
-    largest = max(float(np.abs(ends if told else values).max()), 1e-3)
+    has_intervals = bool(np.isfinite(ends).all())
+    largest = max(float(np.abs(ends if has_intervals else values).max()), 1e-3)
     step = next(s * 10.0**p for p in range(-3, 7) for s in _STEPS if 3.0 * s * 10.0**p >= largest)
     levels = step * np.arange(-math.ceil(largest / step - 1e-9), math.ceil(largest / step - 1e-9) + 1)
     scale = _DEPTH / levels[-1]
@@ -47,7 +47,7 @@ def ring_panel(ring: Realised) -> Panel:
             traces.append(Trace("", x, y, "dashed" if level == 0.0 else "thin", -1))
         closed = np.append(np.arange(count), 0)
         traces.append(Trace("", *drawn(1.0 + scale * values[part][closed], angle[closed]), "thin", 0))
-        if told:
+        if has_intervals:
             low, high = 1.0 + scale * ends[part].T
             label = "95 % interval" if number == 0 else ""
             at, spokes = stems(angle, low, high)

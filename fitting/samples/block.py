@@ -103,8 +103,8 @@ class GapMarks:
             status[0] |= GAP
             return status
         before = np.cumsum(np.concatenate([[self._pending], ~keep]))  # samples left out before each
-        kept = np.flatnonzero(keep)
-        bits = status[kept]
-        bits[np.diff(before[kept], prepend=0) > 0] |= GAP
-        self._pending = bool(before[-1] > (before[kept[-1]] if kept.size else 0))
+        indices = np.flatnonzero(keep)
+        bits = status[indices]
+        bits[np.diff(before[indices], prepend=0) > 0] |= GAP
+        self._pending = bool(before[-1] > (before[indices[-1]] if indices.size else 0))
         return bits

@@ -89,17 +89,17 @@ class PlausibleBlocks:
         for block in (piece for whole in self._stream.blocks() for piece in whole.pieces()):
             if judge is None:
                 judge = Plausibility(self._ratio, _with_resolution(self._stream.limits, block))
-            marks, found = judge.add(
+            marks, faults = judge.add(
                 {role: Samples(role, block.time, None, None, getattr(block, role), block.status) for role in ANGLES}
             )
             implausible = marks["input_angle"] | marks["output_angle"]
             already = block.status & IMPLAUSIBLE != 0
             self._marked += int(np.count_nonzero(already & ~implausible))
-            self._found += found[: _SAID - len(self._found)]
-            self._faults += len(found)
+            self._found += faults[: _SAID - len(self._found)]
+            self._faults += len(faults)
             if before is not None:
-                for one in found:
-                    before[1][before[0].time >= one.time] = True
+                for fault in faults:
+                    before[1][before[0].time >= fault.time] = True
                 yield from self._left(*before)
             before = block, implausible | already
         if before is not None:
@@ -123,7 +123,7 @@ class PlausibleBlocks:
         if not self.count:
             return []
         moment = "from {:.6g} s" if self._stream.timed else "from sample {:.6g}"
-        text = [f"{one.text} ({moment.format(one.time)})" for one in self._found]
+        text = [f"{fault.text} ({moment.format(fault.time)})" for fault in self._found]
         if self._faults > _SAID:
             text.append(f"{self._faults - _SAID} more such faults")
         if self._marked:

@@ -59,9 +59,9 @@ class _Fold:
         self._held = 0
         self._torque = np.zeros(2)
         self._line = np.zeros(5)
-        self.way = 0.0
+        self.rotation = 0.0
 
-    def add(self, angle: Array, error: Array, torque: Array, speed: Array, *, way: float, restarted: bool) -> None:
+    def add(self, angle: Array, error: Array, torque: Array, speed: Array, *, rotation: float, restarted: bool) -> None:
         """Add samples of this direction.
 
         Parameters
@@ -70,14 +70,14 @@ class _Fold:
             Crank angles and transmission errors, rad, shape (n,).
         torque, speed
             Torques, N·m, and crank speeds, rad/s, shape (n,).
-        way
+        rotation
             Crank rotation in this direction, rad, >= 0.
         restarted
             Whether these are the first samples after a reversal.
         """
         if not angle.size:
             return
-        self.way += way
+        self.rotation += rotation
         if self.points:
             self._take(angle, error, torque, speed, restarted)
             return
@@ -90,18 +90,18 @@ class _Fold:
         if not self._first:
             return
         angle = self._first[0][0]
-        whole = round((self._held - 1) * min(1.0, self._turn / self.way)) if self.way else 1
+        whole = round((self._held - 1) * min(1.0, self._turn / self.rotation)) if self.rotation else 1
         self.points = min(max(1, whole), POINTS)
-        spacing = max(min(self._turn, self.way or self._turn) / self.points, self._turn / POINTS)
+        spacing = max(min(self._turn, self.rotation or self._turn) / self.points, self._turn / POINTS)
         # Points are bounded midway between the samples of the first turn.
         self._origin = self._begins = float(angle[0])
-        even = self.points if self.way >= self._turn else max(1, round(self._turn / spacing))
+        even = self.points if self.rotation >= self._turn else max(1, round(self._turn / spacing))
         self.grid = (even, float(np.mod(angle[0], self._turn) - 0.5 * spacing))
         parts = 1 if self._evenly else max(1, round(min(_PITCH * self.ratio**2, _FINEST) / even))
         self._whole, self._spacing = even * parts, spacing / parts
         self.shift = float(np.mod(angle[0], self._turn) - 0.5 * self._spacing)
         self._apart = 1
-        apart = int(self.way / self._turn) + 2 + sum(restarted for *_, restarted in self._first)
+        apart = int(self.rotation / self._turn) + 2 + sum(restarted for *_, restarted in self._first)
         few = self._held <= POINTS and apart * self._whole <= _ROOM
         if not self._evenly and few and not self._in_step():
             self._apart = apart
@@ -124,7 +124,7 @@ class _Fold:
         """Return whether all turns are sampled at the same angles."""
         angle = np.concatenate([part[0] for part in self._first])
         point = (np.mod(angle - self.shift, self._turn) / self._spacing + 1e-9).astype(np.int64)
-        return np.unique(point).size * self.way < _SHARED * self._held * self._turn
+        return np.unique(point).size * self.rotation < _SHARED * self._held * self._turn
 
     def _take(self, angle: Array, error: Array, torque: Array, speed: Array, restarted: bool) -> None:
         if restarted:
@@ -191,32 +191,32 @@ class _Fold:
         """
         points, sums = zip(*self._open, strict=True)
         key = np.concatenate(points)
-        found = [np.concatenate(each) for each in zip(*sums, strict=True)]
+        columns = [np.concatenate(each) for each in zip(*sums, strict=True)]
         if (key[1:] < key[:-1]).any():
             order = np.argsort(key, kind="stable")
-            key, found = key[order], [each[order] for each in found]
+            key, columns = key[order], [each[order] for each in columns]
         new = np.concatenate([np.ones(min(1, key.size), bool), key[1:] != key[:-1]])
         if not new.all():
             at = np.cumsum(new) - 1
-            key, found = key[new], [np.bincount(at, each) for each in found]
+            key, columns = key[new], [np.bincount(at, each) for each in columns]
         closed = int(np.searchsorted(key, turns * self.whole))
-        self._close(key[:closed], [each[:closed] for each in found])
-        self._open = [(key[closed:] - turns * self.whole, [each[closed:] for each in found])]
+        self._close(key[:closed], [each[:closed] for each in columns])
+        self._open = [(key[closed:] - turns * self.whole, [each[closed:] for each in columns])]
         self._open_turn += turns
         self._open_points = key.size - closed
 
-    def _close(self, key: NDArray[np.int64], found: list[NDArray[Any]]) -> None:
+    def _close(self, key: NDArray[np.int64], sums: list[NDArray[Any]]) -> None:
         """Add completed turns to the sums.
 
-        `key`: turn times number of points, plus point, ascending; `found`: sums over the samples there, shape (7, n).
+        `key`: turn times number of points, plus point, ascending; `sums`: over the samples there, shape (7, n).
         """
         turn, point = np.divmod(key, self.whole)
-        samples = found[0]
-        mean = [each / samples for each in found[1:]]
+        samples = sums[0]
+        mean = [each / samples for each in sums[1:]]
         np.add.at(self.count, point, samples.astype(np.int64))
         np.add.at(self.repeats, point, 1)
-        for total, one in zip(self._sums, (mean[0], mean[0] ** 2, *mean[1:]), strict=True):
-            np.add.at(total, point, one)
+        for total, column in zip(self._sums, (mean[0], mean[0] ** 2, *mean[1:]), strict=True):
+            np.add.at(total, point, column)
         if self._kept is not None and key.size:
             borders = np.flatnonzero(np.diff(turn)) + 1
             self._kept += zip(np.split(point, borders), np.split(mean[0], borders), strict=True)
@@ -263,18 +263,18 @@ class _Fold:
         index = np.empty(sequence.size, np.int64)
         index[sequence] = np.cumsum(is_new) - 1
         count, turns, variance, *merged = (
-            np.bincount(index, one) for one in (self.count[filled], n, n * (sums[3] / n - inside**2), *sums)
+            np.bincount(index, column) for column in (self.count[filled], n, n * (sums[3] / n - inside**2), *sums)
         )
-        error, squares, _, _, each, speed, travel = (one / turns for one in merged)
+        error, squares, _, _, each, speed, travel = (column / turns for column in merged)
         with np.errstate(invalid="ignore", divide="ignore"):
             standard_error = np.sqrt(np.maximum(squares - error**2, 0.0) / (turns - 1.0))
         torque, torque2 = self._torque / self.samples
-        kept = None
+        each_turn = None
         if self._kept is not None:
-            kept = np.full((len(self._kept), turns.size), np.nan)
+            each_turn = np.full((len(self._kept), turns.size), np.nan)
             column = np.zeros(self.whole, np.int64)
             column[filled] = index
-            for row, (points, values) in zip(kept, self._kept, strict=True):
+            for row, (points, values) in zip(each_turn, self._kept, strict=True):
                 row[column[points]] = values + self._reference
         return Curve(
             input_angle=angle[sequence][is_new],
@@ -291,14 +291,14 @@ class _Fold:
             checksum=checksum,
             notes=notes,
             implausible=implausible,
-            turns=self.way / self._turn,
+            turns=self.rotation / self._turn,
             grid=self.grid,
             angle_variance=np.maximum(variance / turns, 0.0),
             torque_each=each + self._torque_reference,
             speed=speed,
             travel=travel,
-            each_turn=kept,
-            unaveraged=None if self._steps is None else self._steps.found(self._reference),
+            each_turn=each_turn,
+            unaveraged=None if self._steps is None else self._steps.unaveraged(self._reference),
         )
 
 
@@ -324,7 +324,9 @@ class Folding:
 
     def __init__(self, ratio: float, source: str, *, keep_turns: bool = False, evenly: bool = False) -> None:
         self.ratio, self.source = ratio, source
-        self._folds = {way: _Fold(ratio, way, keep_turns=keep_turns, evenly=evenly) for way in (1, -1)}
+        self._folds = {
+            direction: _Fold(ratio, direction, keep_turns=keep_turns, evenly=evenly) for direction in (1, -1)
+        }
         self._direction = 0
         self._furthest = np.nan
         self._start = np.nan
@@ -423,7 +425,7 @@ class Folding:
         before = self._direction * self._furthest
         grows = reached > np.concatenate([[before], reached[:-1]])
         grows[0] |= self._folds[self._direction].samples + self._folds[self._direction]._held == 0
-        way = float(reached[-1]) - before
+        rotation = float(reached[-1]) - before
         self._furthest = float(reached[-1]) * self._direction
         if not grows.all():
             # At rest: no progress for much longer than usual, which encoder steps and noise cause too.
@@ -435,7 +437,7 @@ class Folding:
             self._stood += int(np.count_nonzero(standing))
             moving = ~standing
             columns = tuple(column[moving] for column in columns)
-        self._folds[self._direction].add(*columns, way=way, restarted=self._restarted)
+        self._folds[self._direction].add(*columns, rotation=rotation, restarted=self._restarted)
         self._restarted &= not columns[0].size
 
     def curves(self, stream: Recording | RecordingStream, blocks: PlausibleBlocks) -> list[Curve]:
@@ -457,17 +459,17 @@ class Folding:
             raise edge.NoDataError(f"{self.source}: no input angle is mapped; a transmission error needs both angles.")
         if self._waiting:
             self._fold()
-        folds = sorted(self._folds.values(), key=lambda f: -f.way)
+        folds = sorted(self._folds.values(), key=lambda f: -f.rotation)
         for fold in folds:
             fold.finish()
         notes = [*stream.notes, *blocks.notes()]
-        kept = [f for f in folds if f.way > 0.01 * folds[0].way and f.samples > 1]
-        if folds[0].way <= LOCKED or not kept:
+        used = [f for f in folds if f.rotation > 0.01 * folds[0].rotation and f.samples > 1]
+        if folds[0].rotation <= LOCKED or not used:
             raise edge.InputError(
-                f"{self.source}: the input turns by only {np.degrees(folds[0].way):.3g}°; a "
+                f"{self.source}: the input turns by only {np.degrees(folds[0].rotation):.3g}°; a "
                 f"curve needs a run in which it turns by more than {np.degrees(LOCKED):g}°."
             )
-        few = sum(f.samples for f in folds if f not in kept)
+        few = sum(f.samples for f in folds if f not in used)
         if self._stood + few:
             notes.append(
                 f"{self.source}: {self._stood + few} samples with the crank at rest or moving back were left out."
@@ -481,12 +483,12 @@ class Folding:
                 f"{self.source}: crank turns were missed in {self._recounted} gaps; they were counted from the output "
                 "angle."
             )
-        for fold in kept:
+        for fold in used:
             _check_ratio(fold, self.source)
             notes += _ramp_note(fold, self.source)
         checksum = stream.checksum
         total, count = self._warmth
-        found = [
+        folded = [
             f.curve(
                 common_zero=stream.common_zero,
                 known_index=stream.known_index,
@@ -495,11 +497,11 @@ class Folding:
                 notes=tuple(notes),
                 implausible=blocks.count,
             )
-            for f in kept
+            for f in used
         ]
         warm = float(total / count) if count else None
         # Where an encoder's angle begins, just below or above its zero, is chance: the mean is known within one turn.
-        passed = float(whole_turns(found[0].transmission_error.mean(), 2.0 * np.pi / abs(stream.pulley)))
+        passed = float(whole_turns(folded[0].transmission_error.mean(), 2.0 * np.pi / abs(stream.pulley)))
         return [
             dataclasses.replace(
                 curve,
@@ -507,7 +509,7 @@ class Folding:
                 running_speed=_speed_of(curve, stream),
                 crank_speed=_crank_speed_of(curve, stream),
             ).moved(-passed)
-            for curve in found
+            for curve in folded
         ]
 
 
@@ -533,9 +535,9 @@ def _crank_speed_of(curve: Curve, stream: Recording | RecordingStream) -> float 
 
 def _check_ratio(fold: _Fold, source: str) -> None:
     """Refuse angles that do not match the ratio, with a probable cause."""
-    ratio, drift, way = fold.ratio, fold.drift(), fold.way
+    ratio, drift, rotation = fold.ratio, fold.drift(), fold.rotation
     # Below a thousandth it is not another ratio but clock drift, on which `_ramp_note` makes a note.
-    if abs(drift * ratio) <= 1e-3 or (abs(drift * ratio) <= 0.02 and abs(drift * way) <= np.radians(1.0)):
+    if abs(drift * ratio) <= 1e-3 or (abs(drift * ratio) <= 0.02 and abs(drift * rotation) <= np.radians(1.0)):
         return
     slope = 1.0 / ratio + drift
     sentence = f"{source}: the output turns {slope:.6g} of the input, but the ratio {ratio:g} gives {1.0 / ratio:.6g}; "
@@ -559,7 +561,7 @@ def _ramp_note(fold: _Fold, source: str) -> list[str]:
     The least squares slope of a wave of amplitude A, one period per turn, over N turns is at most 12A/(2πN) over all of
     them; only more than three times that gets a note.
     """
-    ratio, turns = abs(fold.ratio), fold.way / (2.0 * np.pi * abs(fold.ratio))
+    ratio, turns = abs(fold.ratio), fold.rotation / (2.0 * np.pi * abs(fold.ratio))
     ramp = fold.drift() * 2.0 * np.pi * ratio
     wave = 12.0 * fold.amplitude() / (2.0 * np.pi * turns**2)
     if turns < 2.0 or abs(ramp) < 3.0 * wave or abs(ramp) * turns < _RAMP:
@@ -607,7 +609,7 @@ def curves(
     """
     stated = drive.ratio if isinstance(drive, Drive) else drive
     check_ratio(stated)
-    found: list[Curve] = []
+    folded: list[Curve] = []
     given: list[Source] = each_source(recordings)
     for source in given:
         recording = open_source(source, stated)
@@ -620,9 +622,9 @@ def curves(
         blocks = PlausibleBlocks(recording, ratio)
         for block in blocks:
             folding.add(block)
-        found += folding.curves(recording, blocks)
-    common = [float(curve.transmission_error.mean()) for curve in found if curve.common_zero]
+        folded += folding.curves(recording, blocks)
+    common = [float(curve.transmission_error.mean()) for curve in folded if curve.common_zero]
     return [
         curve.moved(-float(whole_turns(curve.transmission_error.mean() - common[0]))) if curve.common_zero else curve
-        for curve in found
+        for curve in folded
     ]

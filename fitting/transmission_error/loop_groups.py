@@ -61,10 +61,10 @@ def _length(part: slice) -> int:
 
 def _alike(torque: Array, windup: Array, group: list[Lobe], lobe: Lobe) -> bool:
     """Whether a half loop is as large as those of a group, and goes as far as the last one on its side."""
-    reached = [float(np.abs(torque[one.loading.start : one.unloading.stop]).max()) for one in (*group, lobe)]
+    reached = [float(np.abs(torque[each.loading.start : each.unloading.stop]).max()) for each in (*group, lobe)]
     if min(reached) < ALIKE * max(reached):
         return False
-    peaks = {one.sign: float(windup[one.loading.stop]) for one in group}
+    peaks = {each.sign: float(windup[each.loading.stop]) for each in group}
     width = abs(peaks[1] - peaks[-1]) if len(peaks) > 1 else math.inf
     return abs(float(windup[lobe.loading.stop]) - peaks.get(lobe.sign, math.nan)) < _SHIFTED * width or (
         lobe.sign not in peaks
@@ -107,7 +107,7 @@ def loop_groups(recording: Recording, ratio: float | None) -> list[LoopData]:
     """
     torque, windup = recording.torque, windup_of(recording, ratio)
     largest = float(np.abs(torque).max(initial=0.0))
-    found = []
+    groups = []
     parts = [
         (lobes, number)
         for begin, end, number in _stated(recording)
@@ -119,7 +119,7 @@ def loop_groups(recording: Recording, ratio: float | None) -> list[LoopData]:
         own = [_moved(lobe, -start) for lobe in lobes]
         loops, quiet = tuple(find_loops(own)), _smoothed(torque[here])
         if loops:
-            found.append(
+            groups.append(
                 LoopData(
                     recording.time[here],
                     quiet,
@@ -131,7 +131,7 @@ def loop_groups(recording: Recording, ratio: float | None) -> list[LoopData]:
                     group=number,
                 )
             )
-    return sorted(found, key=lambda one: -one.rated_torque)
+    return sorted(groups, key=lambda group: -group.rated_torque)
 
 
 def positions_of(groups: Sequence[LoopData]) -> tuple[list[LoopData], list[LoopData]]:
@@ -139,4 +139,4 @@ def positions_of(groups: Sequence[LoopData]) -> tuple[list[LoopData], list[LoopD
     largest = max((group.rated_torque for group in groups), default=0.0)
     large = [group for group in groups if group.rated_torque > ALIKE * largest]
     smaller = [group for group in groups if group.rated_torque <= ALIKE * largest]
-    return sorted(large, key=lambda one: float(one.time[0])), smaller
+    return sorted(large, key=lambda data: float(data.time[0])), smaller

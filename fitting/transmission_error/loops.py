@@ -96,11 +96,11 @@ def find_loops(lobes: Sequence[Lobe]) -> list[Loop]:
     """Pair consecutive half loops on opposite sides."""
     loops, at = [], 0
     while at + 1 < len(lobes):
-        one, other = lobes[at : at + 2]
-        if one.sign == other.sign:
+        first, second = lobes[at : at + 2]
+        if first.sign == second.sign:
             at += 1
             continue
-        loops.append(Loop(one, other) if one.sign > 0 else Loop(other, one))
+        loops.append(Loop(first, second) if first.sign > 0 else Loop(second, first))
         at += 2
     return loops
 
@@ -248,5 +248,5 @@ def loops_of(
     if not locked:
         runaway = 2.0 * recording.alignment * float(np.abs(np.diff(recording.output_angle)).sum() / np.ptp(time))
     loops = tuple(find_loops(lobes))
-    found = LoopData(time, torque, windup - windup.mean(), loops, tuple(lobes), rated, recording.source, late, runaway)
-    return found, notes
+    data = LoopData(time, torque, windup - windup.mean(), loops, tuple(lobes), rated, recording.source, late, runaway)
+    return data, notes

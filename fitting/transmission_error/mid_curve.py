@@ -72,14 +72,14 @@ class MidCurve:
 
 def turning_points(torque: Array, data: LoopData) -> list[int]:
     """Return the indices of the peaks of alternate sign, in the order of time."""
-    found: list[int] = []
+    peaks: list[int] = []
     for lobe in data.lobes:
         peak = lobe.loading.stop
-        if found and np.sign(torque[found[-1]]) == lobe.sign:
-            found[-1] = max(found[-1], peak, key=lambda at: abs(torque[at]))
+        if peaks and np.sign(torque[peaks[-1]]) == lobe.sign:
+            peaks[-1] = max(peaks[-1], peak, key=lambda at: abs(torque[at]))
         else:
-            found.append(peak)
-    return found
+            peaks.append(peak)
+    return peaks
 
 
 def pass_of(time: Array, torque: Array, windup: Array, direction: int) -> Pass:
@@ -127,10 +127,10 @@ def drift_rate(passes: Sequence[Pass]) -> float:
             continue
         levels = np.concatenate([-top * _LEVELS[::-1], top * _LEVELS])
         windup, time = np.empty((2, len(same), levels.size))
-        for k, one in enumerate(same):
-            rising = np.maximum.accumulate(one.torque)
-            windup[k] = np.interp(levels, rising, one.windup, left=np.nan, right=np.nan)
-            time[k] = np.interp(levels, rising, one.time)
+        for k, loop_pass in enumerate(same):
+            rising = np.maximum.accumulate(loop_pass.torque)
+            windup[k] = np.interp(levels, rising, loop_pass.windup, left=np.nan, right=np.nan)
+            time[k] = np.interp(levels, rising, loop_pass.time)
         seen = np.isfinite(windup).all(axis=0)
         away = time[:, seen] - time[:, seen].mean(axis=0)
         moved += float((away * (windup[:, seen] - windup[:, seen].mean(axis=0))).sum())

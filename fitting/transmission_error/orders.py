@@ -141,9 +141,9 @@ class _Turns:
         self.scale = 1.0 / abs(curve.ratio)
         self.first = int(given.number[0])
         self.span = (int(given.number[-1]) - self.first + 1) / self.each
-        row, place = (given.number - self.first) // self.each, given.number % self.each
+        row, point = (given.number - self.first) // self.each, given.number % self.each
         rows, row = np.unique(row, return_inverse=True)
-        self._at = (row, place)
+        self._at = (row, point)
         self._number = given.number - self.first
         self.psi = given.input_angle * self.scale
         self._middle = float(self.psi.mean())
@@ -155,42 +155,42 @@ class _Turns:
         order = np.arange(highest + 1)
         wave = whole.coefficient[: highest + 1] * np.exp(1j * order * np.pi / self.each)
         # A series in the angle within a step, in which the highest order turns by 0.4 π at most.
-        derivatives = [synthesised((1j * order) ** n * wave, self.each)[place] for n in range(_TERMS)]
+        derivatives = [synthesised((1j * order) ** n * wave, self.each)[point] for n in range(_TERMS)]
         shift = np.zeros(inside.size)
         for n in range(_TERMS - 1, 0, -1):
             shift = (shift + derivatives[n]) * (inside / n)
         spread = variance * (0.5 * (derivatives[2] + inside * (derivatives[3] + 0.5 * inside * derivatives[4])))
         spread += variance**2 / 24.0 * derivatives[4]
         self.at_steps = given.transmission_error - shift - spread
-        self.count = np.bincount(place, minlength=self.each)
+        self.count = np.bincount(point, minlength=self.each)
         turn = rows[row].astype(float)
-        self._turn = turn - (np.bincount(place, turn, self.each) / np.maximum(self.count, 1))[place]
-        squares = np.bincount(place, self._turn**2, self.each)
+        self._turn = turn - (np.bincount(point, turn, self.each) / np.maximum(self.count, 1))[point]
+        squares = np.bincount(point, self._turn**2, self.each)
         # A line over the turns of a step needs three of them.
-        self._used = ((self.count >= 3) & (squares > 0.0))[place]
+        self._used = ((self.count >= 3) & (squares > 0.0))[point]
         self._squares = np.maximum(squares, 1e-300)
         self.samples = int(np.count_nonzero(self._used))
         self.rest = self._projected(given.transmission_error - derivatives[0] - shift - spread)
 
     def mean(self, values: Array) -> Array:
         """Return the mean over turns of values, shape (steps,), at each step of a turn; 0 without any."""
-        found: Array = np.bincount(self._at[1], values, self.each) / np.maximum(self.count, 1)
-        return found
+        mean: Array = np.bincount(self._at[1], values, self.each) / np.maximum(self.count, 1)
+        return mean
 
     def _projected(self, values: Array) -> Array:
         """Remove the mean over turns and the line over turns at each step."""
         index = self._at[1]
         residual = values - self.mean(values)[index]
         residual -= self._turn * (np.bincount(index, self._turn * residual, self.each) / self._squares)[index]
-        found: Array = np.where(self._used, residual, 0.0)
-        return found
+        projected: Array = np.where(self._used, residual, 0.0)
+        return projected
 
     def wave(self, order: float) -> Complex:
         """Return exp(i order ψ) in the means of the steps, from the middle of the recording, shape (steps,)."""
         angle = order * (self.psi - self._middle)
         half = (0.5 * order * self._width) ** 2  # sin x/x to 0.02 %: the steps of an order are less than x = 0.4 π wide
-        found: Complex = (np.cos(angle) + 1j * np.sin(angle)) * (1.0 - half / 6.0 * (1.0 - half / 20.0))
-        return found
+        values: Complex = (np.cos(angle) + 1j * np.sin(angle)) * (1.0 - half / 6.0 * (1.0 - half / 20.0))
+        return values
 
     def columns(self, order: float) -> Array:
         """Return cosine and sine of an order without what whole orders explain, shape (2, steps)."""
@@ -254,8 +254,8 @@ class _Floor:
 
 def _floor(turns: _Turns, rest: Array) -> _Floor:
     order, power = turns.lines(rest)
-    kept = turns.off_whole(order, _NOTCH)
-    order, power = order[kept], power[kept]
+    between = turns.off_whole(order, _NOTCH)
+    order, power = order[between], power[between]
     near, wide = (noise_floor(power, window) for window in (_NEAR, _WIDE))
     # The median of n exponential values has the variance 1/n of their mean squared, as a mean of 0.48 n of them.
     return _Floor(
@@ -296,9 +296,9 @@ class _Waves:
             return turns.rest
         columns = np.concatenate(self._columns)
         normal = columns @ columns.T
-        found = np.linalg.lstsq(normal, columns @ turns.rest, rcond=1e-12)[0]
-        self.coefficient = [complex(a, b) for a, b in found.reshape(-1, 2)]
-        residual: Array = turns.rest - found @ columns
+        solution = np.linalg.lstsq(normal, columns @ turns.rest, rcond=1e-12)[0]
+        self.coefficient = [complex(a, b) for a, b in solution.reshape(-1, 2)]
+        residual: Array = turns.rest - solution @ columns
         return residual
 
     def refine(self, which: Sequence[int], rest: Array) -> None:
@@ -322,7 +322,7 @@ class _Waves:
         scale = np.sqrt(np.maximum((columns**2).sum(axis=1), 1e-300))
         columns = columns / scale[:, None]
         whole = np.linalg.pinv(columns @ columns.T, hermitian=True) / np.multiply.outer(scale, scale)
-        found, at = [], 2 * len(self.orders)
+        blocks, at = [], 2 * len(self.orders)
         for i, free in enumerate(self.free):
             index = [2 * i, 2 * i + 1]
             if free:
@@ -330,15 +330,15 @@ class _Waves:
                 at += 1
             block = np.zeros((3, 3))
             block[: len(index), : len(index)] = whole[np.ix_(index, index)]
-            found.append(block)
-        return found
+            blocks.append(block)
+        return blocks
 
     def model(self) -> Array:
         """Return the sum of the waves, shape (steps,), rad."""
-        found = np.zeros(self.turns.psi.size)
+        values = np.zeros(self.turns.psi.size)
         for order, coefficient in zip(self.orders, self.coefficient, strict=True):
-            found += (coefficient * self.turns.wave(order)).real
-        return found
+            values += (coefficient * self.turns.wave(order)).real
+        return values
 
 
 def _search(waves: _Waves, least: float) -> tuple[Array, _Floor]:
@@ -361,8 +361,8 @@ def _search(waves: _Waves, least: float) -> tuple[Array, _Floor]:
             & turns.stands_alone(order, power)
             & (power > power[order >= _BAND * turns.each].max())
         )
-        for one in waves.orders:
-            alone &= np.abs(order - one) > 1.0 / turns.span
+        for known in waves.orders:
+            alone &= np.abs(order - known) > 1.0 / turns.span
         ratio = np.where(alone, power / floor.threshold(order) ** 2, 0.0)
         largest = int(np.argmax(ratio))
         if ratio[largest] <= math.log(order.size / _FALSE) or not waves.add(float(order[largest]), free=True):
@@ -376,7 +376,7 @@ def _search(waves: _Waves, least: float) -> tuple[Array, _Floor]:
         floor = _floor(turns, rest)
         _keep_significant(waves, floor)
         rest = waves.rest()
-    free = [i for i, one in enumerate(waves.free) if one]
+    free = [i for i, is_free in enumerate(waves.free) if is_free]
     for _ in range(3 if len(free) > 1 else 0):
         waves.refine(free, waves.rest())
     rest = waves.rest()
@@ -385,20 +385,20 @@ def _search(waves: _Waves, least: float) -> tuple[Array, _Floor]:
 
 def _with_tied(orders: list[Order], span: float) -> list[Order]:
     """Give multiples that were fitted at multiples of a found order the uncertainty of it."""
-    free = [one for one in orders if one.order_uncertainty > 0.0]
+    free = [order for order in orders if order.order_uncertainty > 0.0]
     return [
         next(
             (
-                dataclasses.replace(one, order_uncertainty=round(one.order / base.order) * base.order_uncertainty)
+                dataclasses.replace(order, order_uncertainty=round(order.order / base.order) * base.order_uncertainty)
                 for base in free
-                if not one.source
-                and not one.order_uncertainty
-                and base.order < one.order
-                and _multiple(one.order, base.order, 0.5 / span)
+                if not order.source
+                and not order.order_uncertainty
+                and base.order < order.order
+                and _multiple(order.order, base.order, 0.5 / span)
             ),
-            one,
+            order,
         )
-        for one in orders
+        for order in orders
     ]
 
 
@@ -439,12 +439,12 @@ def orders_of_run(
             highest = _BAND * turns.each
             for base in bases.values():
                 for order in base * np.arange(1, _MULTIPLES + 1):
-                    if order < highest and all(abs(order - one) > 0.5 / turns.span for one in waves.orders):
+                    if order < highest and all(abs(order - known) > 0.5 / turns.span for known in waves.orders):
                         waves.add(float(order), free=False)
             least = max(_CLEAN * float(whole.amplitude[1:].max(initial=0.0)), resolution / math.pi)
             _, floor = _search(waves, least)
             _keep_significant(waves, floor)
-            named = [_named(one, bases, turns.span) for one in _measured(waves, floor)]
+            named = [_named(measured, bases, turns.span) for measured in _measured(waves, floor)]
             others = _with_tied(named, turns.span)
             coefficient = _without(waves, coefficient)
             if turns.span >= _FEWEST:
@@ -454,10 +454,10 @@ def orders_of_run(
                 noise[:upto] = np.maximum(noise[:upto], floor.at(np.arange(float(upto))))
                 degrees = floor.degrees
         averaging = _turn_averaging(turns, waves)
-    found = np.flatnonzero(significant(coefficient, noise, noise.size))
+    peaks = np.flatnonzero(significant(coefficient, noise, noise.size))
     factor = float(stdtrit(degrees, 0.975)) if math.isfinite(degrees) else 1.96
     apart = 1.0 / max(curve.turns, 1.0)
-    for k in found:
+    for k in peaks:
         amplitude, half = float(abs(coefficient[k])), factor * float(noise[k]) / math.sqrt(2.0)
         source = order_name(int(k), curve.ratio, pair)
         near = [n for n, base in bases.items() if _multiple(float(k), base, apart) and n != source]
@@ -471,7 +471,7 @@ def orders_of_run(
                 " or ".join(filter(None, (source, *near))),
             )
         )
-    others.sort(key=lambda one: -one.amplitude)
+    others.sort(key=lambda order: -order.amplitude)
     return RunOrders(run, curve.direction, curve.turns, tuple(others), searched, averaging)
 
 
@@ -479,15 +479,15 @@ def _keep_significant(waves: _Waves, floor: _Floor) -> None:
     """Keep the waves above the noise; those that were found are."""
     while waves.orders:
         stated = len(waves.orders) - sum(waves.free)
-        kept = []
+        indices = []
         for i, covariance in enumerate(waves.covariance()):
             of_noise = covariance[:2, :2] * (0.25 * waves.turns.samples * float(floor.at(waves.orders[i])) ** 2)
             value = np.array([waves.coefficient[i].real, waves.coefficient[i].imag])
             if waves.free[i] or value @ np.linalg.solve(of_noise, value) > 2.0 * math.log(stated / _FALSE):
-                kept.append(i)
-        if len(kept) == len(waves.orders):
+                indices.append(i)
+        if len(indices) == len(waves.orders):
             return
-        waves.keep(kept)
+        waves.keep(indices)
         waves.rest()
 
 
@@ -528,23 +528,23 @@ def _without(waves: _Waves, coefficient: Complex) -> Complex:
         return coefficient
     line = coefficients_of(turns.mean(turns.at_steps - waves.model()), turns.each)
     upto = min(coefficient.size, int(_BAND * turns.each))
-    found = coefficient.copy()
-    found[1:upto] = line[1:upto] * np.exp(-1j * np.arange(1, upto) * np.pi / turns.each)
-    return found
+    remaining = coefficient.copy()
+    remaining[1:upto] = line[1:upto] * np.exp(-1j * np.arange(1, upto) * np.pi / turns.each)
+    return remaining
 
 
 def _turn_averaging(turns: _Turns, waves: _Waves) -> TurnAveraging | None:
     """Return what averaging removes, at the steps of a turn."""
-    row, place = turns._at
+    row, point = turns._at
     values = turns.at_steps
     mean = turns.mean(values)
     filled = turns.count > 0
     repeated = int(turns.count.sum() - np.count_nonzero(filled))
     if repeated < turns.each // 2:
         return None
-    within, whole = float(np.mean((values - mean[place]) ** 2)), float(np.var(values))
+    within, whole = float(np.mean((values - mean[point]) ** 2)), float(np.var(values))
     model = waves.model()
-    other = float(np.mean((model - turns.mean(model)[place]) ** 2))
+    other = float(np.mean((model - turns.mean(model)[point]) ** 2))
     order = np.argsort(row, kind="stable")
     begins = np.flatnonzero(np.diff(row[order], prepend=-1))
     sizes = np.diff(begins, append=row.size)

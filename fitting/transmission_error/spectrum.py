@@ -76,9 +76,9 @@ def significant(coefficient: NDArray[np.complex128], floor: Array, orders: int) 
         Number of orders of the whole spectrum.
     """
     threshold = floor * np.sqrt(np.log(orders / 0.01))
-    found: NDArray[np.bool_] = np.abs(coefficient) > threshold
-    found[..., 0] = False
-    return found
+    above: NDArray[np.bool_] = np.abs(coefficient) > threshold
+    above[..., 0] = False
+    return above
 
 
 def spectrum(curve: Curve) -> Spectrum:
@@ -151,8 +151,8 @@ def run_label(source: str, curve: Curve) -> str:
 
 def without_orders(orders: Spectrum, left_out: Sequence[int]) -> Spectrum:
     """Return a spectrum without some of its orders; its noise floor is unchanged."""
-    kept = ~np.isin(np.arange(orders.coefficient.size), left_out)
-    return dataclasses.replace(orders, coefficient=np.where(kept, orders.coefficient, 0.0))
+    remaining = ~np.isin(np.arange(orders.coefficient.size), left_out)
+    return dataclasses.replace(orders, coefficient=np.where(remaining, orders.coefficient, 0.0))
 
 
 def coefficients_of(values: ArrayLike, samples: int, points: int | None = None) -> NDArray[np.complex128]:
@@ -189,8 +189,8 @@ def synthesised(coefficient: NDArray[np.complex128], points: int) -> Array:
     """
     scaled = coefficient * (0.5 * points)
     scaled[..., 0] *= 2.0
-    found: Array = np.fft.irfft(scaled, points, axis=-1)
-    return found
+    values: Array = np.fft.irfft(scaled, points, axis=-1)
+    return values
 
 
 def _gridded(
@@ -239,11 +239,11 @@ def range_of_orders(orders: Spectrum) -> float:
     orders
         Orders of a curve.
     """
-    kept = np.where(orders.significant, orders.coefficient, 0.0)
-    kept[0] = 0.0
-    highest = int(np.flatnonzero(kept).max(initial=1))
+    coefficient = np.where(orders.significant, orders.coefficient, 0.0)
+    coefficient[0] = 0.0
+    highest = int(np.flatnonzero(coefficient).max(initial=1))
     points = 1 << max(10, math.ceil(math.log2(16 * highest)))
-    return float(range_of(kept[: highest + 1], points)[0])
+    return float(range_of(coefficient[: highest + 1], points)[0])
 
 
 def range_of(coefficient: NDArray[np.complex128], points: int) -> Array:
@@ -270,13 +270,13 @@ def range_of(coefficient: NDArray[np.complex128], points: int) -> Array:
     # Bernstein: between points at a distance h, a wave of order n rises by at most (nh)²/8 of its largest value.
     half = (np.pi * order[-1] / coarse) ** 2 / 2.0
     reach = bend / (1.0 - half) * (np.pi / coarse) ** 2 / 2.0
-    found = np.empty(len(rows))
+    ranges = np.empty(len(rows))
     for at, (wave, values, beyond) in enumerate(zip(rows, curve, reach, strict=True)):
-        found[at] = sum(
+        ranges[at] = sum(
             _top_near(sign * wave, np.flatnonzero(sign * values >= (sign * values).max() - beyond), points)
             for sign in (1.0, -1.0)
         )
-    return found
+    return ranges
 
 
 def _top(curve: Array) -> Array:
@@ -288,8 +288,8 @@ def _top(curve: Array) -> Array:
 
 def _parabola_top(before: Array, peak: Array, after: Array) -> Array:
     bend = np.minimum(before - 2.0 * peak + after, -1e-300)
-    found: Array = peak - (before - after) ** 2 / (8.0 * bend)
-    return found
+    top: Array = peak - (before - after) ** 2 / (8.0 * bend)
+    return top
 
 
 def _top_near(coefficient: NDArray[np.complex128], coarse: NDArray[np.int64], points: int) -> float:

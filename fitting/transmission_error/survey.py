@@ -94,10 +94,10 @@ class _Overview:
 
     @staticmethod
     def _mean(column: Array, size: int) -> Array:
-        found = column.copy() if size == 1 else column
+        mean = column.copy() if size == 1 else column
         while size > 1:  # `averaged` doubles; 3 times as fast as a mean along rows
-            found, size = 0.5 * (found[::2] + found[1::2]), size // 2
-        return found
+            mean, size = 0.5 * (mean[::2] + mean[1::2]), size // 2
+        return mean
 
     def _keep(self, columns: list[Array]) -> None:
         if columns[0].size:
@@ -109,7 +109,8 @@ class _Overview:
             assert self._rest is not None
             odd = [c[whole:] for c in joined]
             self._rest = [
-                np.concatenate([np.repeat(one, self.averaged), rest]) for one, rest in zip(odd, self._rest, strict=True)
+                np.concatenate([np.repeat(columns, self.averaged), rest])
+                for columns, rest in zip(odd, self._rest, strict=True)
             ]
             self._parts = [[self._mean(c[:whole], 2) for c in joined]]
             self.averaged *= 2
@@ -315,10 +316,10 @@ def at_positions(surveyed: Surveyed, ratio: float | None, rated_torque: float | 
 
 def _lag_note(recording: Recording, ratio: float) -> list[str]:
     """Return a note if the output angle is delayed by more than the uncertainty and 0.1 arcsec at full speed."""
-    found = lag_of(recording, ratio)
-    if found is None:
+    estimate = lag_of(recording, ratio)
+    if estimate is None:
         return []
-    lag, uncertainty = found
+    lag, uncertainty = estimate
     fastest = float(np.abs(np.gradient(recording.output_angle, recording.time)).max())
     arcsec = abs(lag) * fastest * edge.ARCSEC
     if abs(lag) < 2.0 * uncertainty or arcsec < 0.1:

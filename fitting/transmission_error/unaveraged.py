@@ -87,7 +87,7 @@ class Steps:
         self._held += number.size
 
     def _merge(self) -> None:
-        number, sums = (np.concatenate(one, axis=-1) for one in zip(*self._parts, strict=True))
+        number, sums = (np.concatenate(columns, axis=-1) for columns in zip(*self._parts, strict=True))
         order = np.argsort(number, kind="stable")
         self._parts, self._held = [], 0
         self._keep(number[order], sums[:, order])
@@ -102,7 +102,7 @@ class Steps:
         self._parts, self._held = [], 0
         self._keep(number // 2, sums)
 
-    def found(self, reference: float) -> Unaveraged:
+    def unaveraged(self, reference: float) -> Unaveraged:
         """Return the means of the steps; `reference`: transmission error, rad, that the added ones are relative to."""
         self._merge()
         while self._held > MOST and self.each % 2 == 0:

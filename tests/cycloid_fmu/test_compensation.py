@@ -1,4 +1,4 @@
-"""The compensator inverts the exact model, has the memory of friction, and learns the real drive's deviations."""
+"""The compensator inverts the exact model, has the memory of friction, and learns what the model lacks."""
 
 import dataclasses
 import itertools

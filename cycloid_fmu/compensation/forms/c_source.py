@@ -50,8 +50,8 @@ def _named(text: str, name: str) -> str:
 
 def tables_text(c: Compensator) -> str:
     """Return the drive's numbers in C."""
-    made = counts(c)
-    lines = [f"#define {name} {count}" for name, count in made.items()]
+    sizes = counts(c)
+    lines = [f"#define {name} {count}" for name, count in sizes.items()]
     lines += [f"#define {name} {_number(value)}" for name, value in scalars(c).items()]
     for name, values in arrays(c).items():
         lines.append(f"static const double {name}[{max(1, values.size)}] = {_list(map(_number, values.ravel()))};")

@@ -68,12 +68,12 @@ def look_up(c: Compensator, temperature: float | None = None) -> LookUp:
     count, allowed_more = 2 * most, _SHARE * c.inverse.residual
     while count <= _MOST_ANGLES:
         crank = np.linspace(0.0, period, count + 1)
-        found = _deviation(c, crank, torque, temperature)
+        error = _error_with_windup(c, crank, torque, temperature)
         fine = np.linspace(0.0, period, _BETWEEN * count + 1)
-        straight = np.array([np.interp(fine, crank, row) for row in found])
-        more = float(np.abs(straight - _deviation(c, fine, torque, temperature)).max())
+        straight = np.array([np.interp(fine, crank, row) for row in error])
+        more = float(np.abs(straight - _error_with_windup(c, fine, torque, temperature)).max())
         if more <= allowed_more:
-            return LookUp(crank, torque, -c.ratio * found, period, temperature, c.inverse.residual + more)
+            return LookUp(crank, torque, -c.ratio * error, period, temperature, c.inverse.residual + more)
         # The error of linear interpolation is proportional to the square of the step.
         count = math.ceil(count * max(1.2, 1.05 * math.sqrt(more / allowed_more)))
     raise InputError(
@@ -82,8 +82,8 @@ def look_up(c: Compensator, temperature: float | None = None) -> LookUp:
     )
 
 
-def _deviation(c: Compensator, crank: Array, torque: Array, temperature: float) -> Array:
-    """Deviation of the output with the wind-up at desired angles times the crank's ratio, shape (torques, angles)."""
+def _error_with_windup(c: Compensator, crank: Array, torque: Array, temperature: float) -> Array:
+    """Transmission error with the wind-up at desired angles times the crank's ratio, shape (torques, angles)."""
     wound = c.compliance * torque[:, None]
     mean, more = c.inverse.at(crank - c.crank_ratio * wound, torque[:, None], temperature)
     return np.asarray(wound + mean + more)

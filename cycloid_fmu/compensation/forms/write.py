@@ -66,7 +66,7 @@ def write_compensator(
     else:
         source, header = c_source(compensator, name_of(path))
         texts = {path.with_suffix(".c"): source, path.with_suffix(".h"): header}
-    for place, text in texts.items():
-        with edge.written_whole(place) as temporary:
+    for file, text in texts.items():
+        with edge.written_whole(file) as temporary:
             temporary.write_text(text, encoding="utf-8", newline="\n")
     return tuple(texts)

@@ -42,15 +42,15 @@ static double size_of(double value) {
 
 /* The cell of a value between nodes, and its position in the cell, 0 to 1; values beyond the ends are clipped. */
 static inline int between(const double *nodes, const double *rates, int count, double at, double *share) {
-    int cell = 0, left = count - 1;
+    int cell = 0, remaining = count - 1;
     if (count == 1) {
         *share = 0.0;
         return 0;
     }
-    while (left > 1) { /* the same number of rounds for any value */
-        int half = left / 2;
+    while (remaining > 1) { /* the same number of rounds for any value */
+        int half = remaining / 2;
         cell += nodes[cell + half] <= at ? half : 0;
-        left -= half;
+        remaining -= half;
     }
     *share = smaller(larger((at - nodes[cell]) * rates[cell], 0.0), 1.0);
     return cell;
@@ -65,7 +65,7 @@ static inline double on_line(const double *nodes, const double *rates, const dou
 /* The torque through the teeth, the load minus friction; moves the friction elements. */
 static double torque_of_teeth(const struct compensator *c, struct compensator_memory *m, double angle, double speed,
                               double load, double temperature) {
-    double way = given(c, m->angle) ? angle - m->angle : 0.0;
+    double rotation = given(c, m->angle) ? angle - m->angle : 0.0;
     double dry = c->coulomb + c->load_share * size_of(load);
     double rest = dry + c->stribeck;
     double sliding, warmth, bound, total = 0.0;
@@ -80,7 +80,7 @@ static double torque_of_teeth(const struct compensator *c, struct compensator_me
     bound = c->strain * warmth * sliding / rest;
     for (i = 0; i < FRICTION_ELEMENTS; i++) {
         double most = bound * (i + 1);
-        m->strains[i] = smaller(larger(m->strains[i] + way, -most), most);
+        m->strains[i] = smaller(larger(m->strains[i] + rotation, -most), most);
         total += m->strains[i];
     }
     return load - c->stiffness * rest * total - c->viscous * speed;
@@ -90,7 +90,7 @@ static const double *node_of(const struct compensator *c, int cell) {
     return c->node + cell * (COLUMNS + c->functions);
 }
 
-static void state_of(const struct compensator *c, struct state *found, double torque, double temperature) {
+static void state_of(const struct compensator *c, struct state *state, double torque, double temperature) {
     double u, v, p, q, r, s;
     int j = between(c->torque, c->torque_rate, c->torques, torque, &v);
     int i = between(c->temperature, c->temperature_rate, c->temperatures, temperature, &u), n;
@@ -103,16 +103,16 @@ static void state_of(const struct compensator *c, struct state *found, double to
         r = u * (1.0 - v);
         s = u * v;
         for (n = 0; n < COLUMNS + c->functions; n++) {
-            found->node[n] = p * low[n] + q * above[n] + r * high[n] + s * beyond[n];
+            state->node[n] = p * low[n] + q * above[n] + r * high[n] + s * beyond[n];
         }
     } else {
         p = 1.0 - v;
         for (n = 0; n < COLUMNS + c->functions; n++) {
-            found->node[n] = p * low[n] + v * above[n];
+            state->node[n] = p * low[n] + v * above[n];
         }
     }
-    found->torque = torque;
-    found->wound = c->compliance * torque;
+    state->torque = torque;
+    state->wound = c->compliance * torque;
 }
 
 /* The ripple at an ideal crank angle (rad), and its derivative unless `slope` is 0. */
@@ -128,9 +128,9 @@ static inline double ripple_of(const struct compensator *c, const struct state *
     }
     for (n = 0; n < c->functions; n++) {
         const struct spline *spline = &c->spline[n];
-        double place = turn * spline->knots, share = state->node[COLUMNS + n], s, third, second, first;
-        int knot = (int)place, a, b, d, e; /* integers of 19 bits at most */
-        s = place - knot;
+        double position = turn * spline->knots, share = state->node[COLUMNS + n], s, third, second, first;
+        int knot = (int)position, a, b, d, e; /* integers of 19 bits at most */
+        s = position - knot;
         if (spline->small != 0) {
             const int8_t *at = spline->small + knot;
             a = at[0], b = at[1], d = at[2], e = at[3];
@@ -188,7 +188,8 @@ static double doubt(const struct compensator_memory *m) {
 static int learn(const struct compensator *c, struct compensator_memory *m, const struct state *state,
                  double motor_angle, double output_angle) {
     double measured = output_angle - motor_angle * c->per_ratio;
-    double rows[4], targets[4], crank, turned, way, kept, expected, variance, off, weight, most, g;
+    double rows[4], targets[4], crank, rotation, crank_rotation, forgetting, expected, variance, residual, weight;
+    double most, g;
     const double *node = state->node;
     int first = !given(c, m->output), i, j, n = 0;
     if (size_of(measured) > c->largest_transmission_error) {
@@ -199,39 +200,39 @@ static int learn(const struct compensator *c, struct compensator_memory *m, cons
     rows[1] = c->known[1] * node[FLANK];
     rows[2] = c->known[2] * (state->wound + node[MEAN]);
     rows[3] = c->known[3] * ripple_of(c, state, crank + m->index, 0);
-    turned = first ? 0.0 : size_of(output_angle - m->output);
-    way = size_of(c->crank_ratio * turned);
+    rotation = first ? 0.0 : size_of(output_angle - m->output);
+    crank_rotation = size_of(c->crank_ratio * rotation);
     m->output = output_angle;
-    kept = larger(0.0, 1.0 - way * c->per_memory);
+    forgetting = larger(0.0, 1.0 - crank_rotation * c->per_memory);
     expected = node[VARIANCE] + c->noise + doubt(m) * node[RIPPLE];
-    variance = (c->first * expected + kept * m->left) / (c->first + kept * m->count);
-    off = measured - (m->learned[0] * rows[0] + m->learned[1] * rows[1] + m->learned[2] * rows[2]
-                      + m->learned[3] * rows[3]);
-    m->settled = size_of(node[FLANK]) >= c->sure_flank ? m->settled + turned : 0.0;
-    weight = m->settled < c->settled ? 0.0 : first ? 1.0 : smaller(1.0, way * c->per_correlation);
+    variance = (c->first * expected + forgetting * m->residual_squares) / (c->first + forgetting * m->count);
+    residual = measured - (m->learned[0] * rows[0] + m->learned[1] * rows[1] + m->learned[2] * rows[2]
+                           + m->learned[3] * rows[3]);
+    m->settled = size_of(node[FLANK]) >= c->sure_flank ? m->settled + rotation : 0.0;
+    weight = m->settled < c->settled ? 0.0 : first ? 1.0 : smaller(1.0, crank_rotation * c->per_correlation);
     weight *= smaller(1.0, c->least / (node[VARIANCE] + c->noise));
     most = c->outlier * c->outlier * variance;
-    if (off * off > most) {
-        weight *= sqrt(most / (off * off));
+    if (residual * residual > most) {
+        weight *= sqrt(most / (residual * residual));
     }
-    m->count = kept * m->count + weight;
-    m->left = kept * m->left + weight * off * off;
+    m->count = forgetting * m->count + weight;
+    m->residual_squares = forgetting * m->residual_squares + weight * residual * residual;
     for (i = 0; i < 4; i++) {
         double weighted = weight * rows[i];
         for (j = 0; j <= i; j++) {
-            m->moments[n] = kept * m->moments[n] + weighted * rows[j];
+            m->moments[n] = forgetting * m->moments[n] + weighted * rows[j];
             n++;
         }
-        m->products[i] = kept * m->products[i] + weighted * measured;
+        m->products[i] = forgetting * m->products[i] + weighted * measured;
     }
-    m->sure = solve(c, m, variance);
+    m->gain_variance = solve(c, m, variance);
     g = c->known[3] * m->learned[3];
     targets[0] = c->known[0] * m->learned[0];
     targets[1] = c->known[1] * m->learned[1];
     targets[2] = smaller(larger(c->known[2] * m->learned[2], 0.0), c->largest_gain);
-    targets[3] = smaller(g > 0.0 ? g * g * g / (g * g + m->sure) : 0.0, c->largest_gain);
+    targets[3] = smaller(g > 0.0 ? g * g * g / (g * g + m->gain_variance) : 0.0, c->largest_gain);
     for (i = 0; i < 4; i++) {
-        most = way * (i < 2 ? c->angle_rate : c->gain_rate);
+        most = crank_rotation * (i < 2 ? c->angle_rate : c->gain_rate);
         m->applied[i] += smaller(larger(targets[i] - m->applied[i], -most), most);
     }
     return 1;
@@ -250,7 +251,7 @@ void compensator_start(const struct compensator *c, struct compensator_memory *m
         fresh.learned[i] = c->prior[i];
     }
     fresh.applied[3] = fresh.probability;
-    fresh.sure = c->known[3] * c->known[3];
+    fresh.gain_variance = c->known[3] * c->known[3];
     *memory = fresh;
 }
 
@@ -258,17 +259,17 @@ struct compensator_command compensator_step(const struct compensator *c, struct 
                                             double desired_angle, double desired_speed, double load_torque,
                                             double temperature, double motor_angle, double output_angle) {
     struct compensator_memory *m = memory;
-    struct compensator_command found;
+    struct compensator_command command;
     struct state state;
     double ripple, slope, wound, gain, angle, expected, variance, small;
     int inside, plausible = 1, more, another;
     if (!given(c, desired_angle) || !given(c, desired_speed) || !given(c, load_torque) || !given(c, temperature)) {
-        found.motor_angle = given(c, desired_angle) ? desired_angle : given(c, m->angle) ? m->angle : 0.0;
-        found.motor_angle *= c->ratio;
-        found.motor_speed = found.gain = 0.0;
-        found.band = c->largest;
-        found.holds = 0;
-        return found;
+        command.motor_angle = given(c, desired_angle) ? desired_angle : given(c, m->angle) ? m->angle : 0.0;
+        command.motor_angle *= c->ratio;
+        command.motor_speed = command.gain = 0.0;
+        command.band = c->largest;
+        command.holds = 0;
+        return command;
     }
     state_of(c, &state, torque_of_teeth(c, m, desired_angle, desired_speed, load_torque, temperature), temperature);
     inside = size_of(state.torque) <= c->reach;
@@ -280,15 +281,15 @@ struct compensator_command compensator_step(const struct compensator *c, struct 
     angle = desired_angle - m->applied[0] - wound * state.wound;
     ripple = ripple_of(c, &state, angle * c->crank_ratio + m->index, &slope);
     expected = state.node[VARIANCE] + doubt(m) * state.node[RIPPLE];
-    variance = (c->first * expected + m->left) / (c->first + m->count);
-    found.motor_angle =
+    variance = (c->first * expected + m->residual_squares) / (c->first + m->count);
+    command.motor_angle =
         c->ratio * (angle - m->applied[1] * state.node[FLANK] - wound * state.node[MEAN] - gain * ripple);
-    found.motor_speed = c->ratio * desired_speed * (1.0 - gain * c->crank_ratio * slope);
-    found.band = sqrt(variance);
-    found.gain = gain;
+    command.motor_speed = c->ratio * desired_speed * (1.0 - gain * c->crank_ratio * slope);
+    command.band = sqrt(variance);
+    command.gain = gain;
     small = c->least_gain * m->probability - c->known[3] * m->learned[3];
     more = variance > c->alarm * c->alarm * (expected + c->noise);
-    another = small > 0.0 && small * small > c->alarm * c->alarm * m->sure;
-    found.holds = plausible && inside && !(m->count > c->enough && (more || another));
-    return found;
+    another = small > 0.0 && small * small > c->alarm * c->alarm * m->gain_variance;
+    command.holds = plausible && inside && !(m->count > c->enough && (more || another));
+    return command;
 }

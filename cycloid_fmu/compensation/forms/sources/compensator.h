@@ -17,18 +17,18 @@ struct compensator; /* numbers of a drive: compensator_numbers.h */
 
 /* Memory from step to step: one for each drive, initialised by compensator_start. */
 struct compensator_memory {
-    double index;       /* crank angle of the model where the desired output angle is 0 */
-    double probability; /* that the index is right */
-    double angle;       /* desired output angle of the last step, or COMPENSATOR_NONE */
-    double strains[5];  /* of the friction elements, rad */
-    double output;      /* last measured output angle, or COMPENSATOR_NONE */
-    double settled;     /* rotation of the output since the flank was last uncertain, rad */
-    double applied[4];  /* offset (rad), further play (rad), gains of wind-up and of ripple, in the command */
-    double learned[4];  /* the same as estimated from measurements and prior */
-    double sure;        /* variance of the last of them */
-    double moments[10]; /* sums over measurements, which fade */
+    double index;                   /* crank angle of the model where the desired output angle is 0 */
+    double probability;             /* that the index is right */
+    double angle;                   /* desired output angle of the last step, or COMPENSATOR_NONE */
+    double strains[5];              /* of the friction elements, rad */
+    double output;                  /* last measured output angle, or COMPENSATOR_NONE */
+    double settled;                 /* rotation of the output since the flank was last uncertain, rad */
+    double applied[4];              /* offset (rad), further play (rad), gains of wind-up and of ripple, in the command */
+    double learned[4];              /* the same as estimated from measurements and prior */
+    double gain_variance;           /* of the last of them */
+    double moments[10];             /* sums over measurements, which fade */
     double products[4];
-    double count, left; /* number of measurements, and sum of squares of their residuals, rad² */
+    double count, residual_squares; /* number of measurements, and sum of squares of their residuals, rad² */
 };
 
 struct compensator_command {
