@@ -17,6 +17,7 @@ import typer
 from common import EXAMPLES, resolved
 
 from cycloid_fmu import edge
+from cycloid_fmu.drive import read_drive
 from cycloid_fmu.errors.kinds import KINDS
 from cycloid_fmu.fmu.description import model_variables
 from cycloid_fmu.fmu.variables import from_tables
@@ -331,6 +332,23 @@ def test_each_measured_number_of_the_readme_is_one_of_the_measured_figures():
         for number in filter(None, (low, high)):
             digits = len(number.partition(".")[2])
             assert any(round(float(n), digits) == float(number) for n, of in measured if of == unit), (number, unit)
+
+
+def test_every_example_drive_is_listed_with_its_ratio():
+    """Those that are there, and no other; one of them is a joint with output rollers."""
+    page = (ROOT / "docs" / "example_drives.md").read_text(encoding="utf-8")
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in page.splitlines() if line[:3] == "| `"]
+    listed = {name.strip("`"): (ratio, *words) for name, ratio, *words in rows}
+    drives = {}
+    for path in EXAMPLES.glob("*.toml"):
+        if edge.format_of(path) in ("cycloid-pair/1", "cycloid-reducer/1"):
+            drives[path.name] = read_drive(path)
+    assert set(listed) == set(drives)
+    for name, (ratio, *words) in listed.items():
+        assert float(ratio.replace("−", "-")) == pytest.approx(drives[name].ratio)
+        assert all(words), name
+    supports = (drive.pair.supports for drive in drives.values())
+    assert any(one is not None and one.kind == "output_rollers" for one in supports)
 
 
 GLOSSARY = ROOT / "docs" / "reference" / "glossary.md"
