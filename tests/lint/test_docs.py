@@ -63,7 +63,8 @@ header='TIME [s],POSITION [rev],TORQUE [Nm]', comments='')
 """.strip().replace("\n", " ")
 # Pages that go on in the folder of another.
 CONTINUES = dict.fromkeys(
-    ("controller", "compensation", "fmu", "identify", "identify_unknowns", "recalibrate"), "test_bench_engineer"
+    ("controller", "compensation", "fmu", "fmu_losses", "fmu_tools", "identify", "identify_unknowns", "recalibrate"),
+    "test_bench_engineer",
 )
 # Given to a page: your files, and your bench.
 GIVEN = {
@@ -396,6 +397,13 @@ def test_a_late_link_to_the_glossary_is_found():
 
 def test_the_readme_is_short():
     assert len((ROOT / "README.md").read_text(encoding="utf-8").split()) <= 900
+
+
+def test_no_page_that_must_be_read_to_act_is_long():
+    """How-to pages and tutorials; the coverage of an identification is looked up."""
+    acted_on = {*(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "tutorials").glob("*.md")}
+    words = {page.name: len(page.read_text(encoding="utf-8").split()) for page in acted_on}
+    assert {name for name, count in words.items() if count > 2000} == {"identify_coverage.md"}
 
 
 def test_the_measured_figures_by_question_are_those_of_the_record(monkeypatch):
