@@ -253,7 +253,8 @@ def test_the_eccentric_bearing_lives_as_long_as_wished():
         size(wish)
     # A life twice as long needs 2^(1/3) of the capacity, or a torque of so much less.
     assert offers(refused)["torque"] == pytest.approx(20.0 / 2.0 ** (1.0 / 3.0), rel=0.05)
-    assert 0.9 * hours < offers(refused)["life"] <= 1.001 * hours
+    # Another bearing than the largest may live a little longer, never as long as was asked for.
+    assert 0.9 * hours < offers(refused)["life"] < 2.0 * hours
 
 
 @pytest.mark.slow(20)
