@@ -12,7 +12,7 @@ from cycloid_fmu import edge
 from cycloid_fmu.cli.shared import PairFile, SurfaceFile
 from cycloid_fmu.edge import commands
 
-_FRAMES = 180  # crank angles of an animated page
+_FRAMES = 180  # crank angles of an animated page, or a few more: as many in each pin pitch, so that all peaks are alike
 
 
 def draw(
@@ -69,7 +69,8 @@ def draw(
             none = [0.0] if drive.pair.supports is None or drive.pair.rated_torque is not None else []
             loads = sorted([-torque[0], -0.5 * torque[0], *none, 0.5 * torque[0], torque[0]])
             first = loads.index(torque[0])
-        angles = (crank_angle + np.linspace(0.0, 2.0 * math.pi, _FRAMES, endpoint=False)) % (2.0 * math.pi)
+        frames = drive.pair.pins * max(2, math.ceil(_FRAMES / drive.pair.pins))
+        angles = (crank_angle + np.linspace(0.0, 2.0 * math.pi, frames, endpoint=False)) % (2.0 * math.pi)
         angles.sort()
     with commands.progress("crank angles", angles.size * len(loads)) as progress:
         motion = drive.motion(loads, angles, exaggeration=exaggeration, progress=progress)

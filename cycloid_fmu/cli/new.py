@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from cycloid_fmu.edge import commands
+from cycloid_fmu.geometry import CRANK_SPEED
 from cycloid_fmu.geometry.materials import MATERIALS
 from cycloid_fmu.geometry.processes import PROCESSES
 
@@ -23,7 +24,7 @@ def new(
         str,
         commands.choice_option(("pins", "conjugate"), "Dowels, or arcs in one piece with the ring in their place."),
     ] = "pins",
-    discs: Annotated[int, typer.Option(min=1, max=4, help="Number of discs.")] = 2,
+    discs: Annotated[int, typer.Option(help="Number of discs, 1 to 4.")] = 2,
     turning: Annotated[
         str,
         commands.choice_option(
@@ -36,8 +37,15 @@ def new(
             "m", "Most that the discs may take along the axis.", show_default="0.3 of the outer diameter"
         ),
     ] = None,
+    life: Annotated[
+        float | None,
+        commands.quantity_option("s", 'Least L10 life of the eccentric bearing, such as "5000 h".', show_default="any"),
+    ] = None,
+    crank_speed: Annotated[
+        float, commands.quantity_option("rad/s", "Speed of the crank, for this life.", show_default="1000 rpm")
+    ] = CRANK_SPEED,
     bodies: Annotated[
-        bool, typer.Option("--bodies", help="Discs, output pins and ring are elastic: slower, and no friction.")
+        bool, typer.Option("--bodies", help="Discs, output pins and ring are elastic: sized so, in minutes.")
     ] = False,
     folder: Annotated[
         Path | None,
@@ -73,12 +81,14 @@ def new(
         discs=discs,
         output=turning,
         length=length,
+        life=life,
+        crank_speed=crank_speed,
         bodies=bodies,
     )
     with commands.status() as progress:
         drive = size(wish, progress)
         tolerances = parse_tolerances(drive.tolerances, "tolerances of the process")
-        figures, stresses = figures_of(drive.pair, tolerances, drive.bodies, progress)
+        figures, stresses = figures_of(drive.pair, tolerances, drive.bodies, progress, wish.crank_speed)
     numbers = {"figures": [each.numbers() for each in figures], "stresses": [each.numbers() for each in stresses]}
     if folder is not None:
         write_sizing(drive, folder, numbers)

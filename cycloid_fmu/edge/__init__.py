@@ -8,6 +8,7 @@ from cycloid_fmu.edge.cache import cached, hash_of_code, making, show_making
 from cycloid_fmu.edge.config import (
     Angle,
     Area,
+    Arguments,
     Config,
     Force,
     HeatCapacity,
@@ -103,6 +104,7 @@ __all__ = [
     "Angle",
     "Area",
     "ArgumentError",
+    "Arguments",
     "Config",
     "Force",
     "HeatCapacity",

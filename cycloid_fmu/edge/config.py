@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Self, TypeVar, get_args, get_o
 
 import pydantic
 
-from cycloid_fmu.edge.problems import InputError, cut, did_you_mean, shown
+from cycloid_fmu.edge.problems import ArgumentError, InputError, cut, did_you_mean, shown
 from cycloid_fmu.edge.quantities import EXAMPLES, parse_quantity
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ else:
             try:
                 return super().__call__(*args, **values)
             except pydantic.ValidationError as problems:
-                raise _input_error(problems, cls, cls.__name__) from None
+                raise cls._refusal(problems) from None
 
 
 def quantity(value: object, si: str, info: pydantic.ValidationInfo | None = None) -> float:
@@ -111,6 +111,10 @@ class Config(pydantic.BaseModel, metaclass=_Construction):
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True, validate_default=False)
 
+    @classmethod
+    def _refusal(cls, problems: pydantic.ValidationError) -> InputError:
+        return _input_error(problems, cls, cls.__name__)
+
     def replace(self, **changes: Any) -> Self:
         """Return a copy with changed values, validated as in construction."""
         return type(self)(**{**{name: getattr(self, name) for name in type(self).model_fields}, **changes})
@@ -118,6 +122,29 @@ class Config(pydantic.BaseModel, metaclass=_Construction):
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """As `replace`, so that no copy skips validation."""
         return self.replace(**(update or {}))
+
+
+class Arguments(Config):
+    """Base class of the arguments of a function, which may also be the options of a command.
+
+    Raises
+    ------
+    ArgumentError
+        If a value is invalid; a command line shows its option.
+    """
+
+    @classmethod
+    def _refusal(cls, problems: pydantic.ValidationError) -> InputError:
+        first = problems.errors(include_url=False)[0]
+        of_validator = first.get("ctx", {}).get("error")
+        if isinstance(of_validator, ArgumentError):
+            return of_validator
+        if len(first["loc"]) != 1 or first["type"] == "extra_forbidden":
+            return super()._refusal(problems)
+        name = str(first["loc"][0])
+        if first["type"] == "missing":
+            return ArgumentError(name, "is missing")
+        return ArgumentError(name, _allowed(first), first["input"])
 
 
 Model = TypeVar("Model", bound=Config)
@@ -171,9 +198,17 @@ def _tables_with(model: type[pydantic.BaseModel], key: str, table: str) -> str:
     return f"it belongs to {', '.join(others)}{' or ' if others else ''}{last}." if found else ""
 
 
+def _allowed(error: Any) -> str:
+    """Return the problem of one of pydantic's errors and what is allowed, without the closing full stop."""
+    kind = error["type"]
+    message = error["msg"].removeprefix("Value error, ").removeprefix("Input should be ").removesuffix(".")
+    message = _WORDS.get(kind, message)
+    return message if kind in ("value_error", "assertion_error") else f"it should be {message}"
+
+
 def _sentence(error: Any, model: type[pydantic.BaseModel], source: str) -> str:
     """Return one of pydantic's errors as a sentence that names file, field, value and allowed values."""
-    place, kind, message = error["loc"], error["type"], error["msg"]
+    place, kind = error["loc"], error["type"]
     tables = [str(p) for p in place[:-1] if not isinstance(p, int)]
     field = "".join(f"[{i}]" if isinstance(i, int) else f".{i}" for i in place).lstrip(".")
     if len(place) > 1 and all(isinstance(p, str) for p in place):
@@ -188,13 +223,10 @@ def _sentence(error: Any, model: type[pydantic.BaseModel], source: str) -> str:
         near = near or _tables_with(model, key, ".".join(tables)) or did_you_mean(key, keys)
         near = near or "check its spelling or remove it."
         return f"{source}: {field} is not a known key; {near}"
-    message = message.removeprefix("Value error, ").removeprefix("Input should be ").removesuffix(".")
-    message = _WORDS.get(kind, message)
-    if counted := _COUNT.fullmatch(message):
+    if counted := _COUNT.fullmatch(error["msg"]):
         entries = "entry" if counted[1].endswith(" 1") else "entries"
         return f"{source}: {field} must have {counted[1]} {entries}, not {counted[2]}."
-    if kind not in ("value_error", "assertion_error"):
-        message = f"it should be {message}"
+    message = _allowed(error)
     message += "" if message.endswith("?") else "."
     if not field:
         return f"{source}: {message}"

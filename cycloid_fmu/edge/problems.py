@@ -45,7 +45,7 @@ class ArgumentError(InputError):
     argument
         Name of the function's argument.
     problem
-        The problem and the allowed values, without the closing full stop.
+        The problem and the allowed values, without the closing full stop; a question keeps its mark.
     value
         The given value; leave it out if there is none, and begin `problem` with a verb: "is missing".
 
@@ -64,7 +64,7 @@ class ArgumentError(InputError):
     def named(self, name: str) -> str:
         """Return the sentence with `name` for the argument."""
         given = "" if self.value is _NOTHING else f" = {shown(self.value)}:"
-        return f"{name}{given} {self.problem}."
+        return f"{name}{given} {self.problem}{'' if self.problem.endswith('?') else '.'}"
 
 
 @contextlib.contextmanager
@@ -153,11 +153,11 @@ def without_controls(text: str) -> str:
 
 
 def check_named(name: object, known: Iterable[str], key: str = "") -> None:
-    """Raise a `ValueError` with what could be meant if a name is none of the known ones; `key` states it in a file."""
+    """Raise a `ValueError` with what could be meant if a name is none of the known ones; a `key` adds the value."""
     names = list(known)
     if name not in names:
         near = did_you_mean(str(name), names) or f"give one of {', '.join(map(repr, names))}"
-        raise ValueError(f"{key} = {shown(name)}: {near}" if key else f"{shown(name)}: {near}")
+        raise ValueError(f"{key} = {shown(name)}: {near}" if key else near)
 
 
 def did_you_mean(word: str, known: Iterable[str], prefix: str = "") -> str:

@@ -103,7 +103,8 @@ class Material(Config):
         name = given["name"]
         edge.check_named(name, MATERIALS, "name")
         value = MATERIALS[name]
-        return {"youngs_modulus": value.modulus, "poissons_ratio": value.poissons_ratio, **given}
+        # Text, because a quantity in a file needs its unit.
+        return {"youngs_modulus": f"{value.modulus!r} Pa", "poissons_ratio": value.poissons_ratio, **given}
 
     @property
     def value(self) -> MaterialValue | None:

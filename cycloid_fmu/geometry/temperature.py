@@ -148,7 +148,7 @@ def parse_temperatures(text: str, before: Temperatures | None = None) -> Tempera
         if body not in BODIES or body in given:
             known = f"give each of {', '.join(BODIES)} at most once, or one temperature for all"
             near = edge.did_you_mean(body, BODIES) if body not in BODIES else ""
-            raise edge.ArgumentError("temperature", f"{known}{f'; {near}' if near else ''}".rstrip(".?"), each.strip())
+            raise edge.ArgumentError("temperature", f"{known}{f'; {near}' if near else ''}", each.strip())
         given[body] = kelvin
     return (before or Temperatures()).replace(**given)
 

@@ -13,6 +13,7 @@ from cycloid_fmu import edge
 from cycloid_fmu.analysis import solve
 from cycloid_fmu.contact.transmission import Transmission
 from cycloid_fmu.drive_value import DriveValue
+from cycloid_fmu.geometry import CRANK_SPEED
 from cycloid_fmu.geometry.bodies import Bodies
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.geometry.profile import flank_points
@@ -28,8 +29,7 @@ _ANGLES = 90  # crank angles of every figure
 _DRIVES = 64  # sampled drives
 _ENDS = (0.05, 0.95)  # of the sampled drives
 _UNKNOWN = (math.nan, math.nan, math.nan)
-_MOTOR_SPEED = 1000.0  # rpm, for a life in hours
-_CRANK_SPEED = 1.0  # rad/s: friction of a drive that turns slowly, without drags of speed
+_SLOW = 1.0  # rad/s of the crank: friction of a drive that turns slowly, without drags of speed
 
 
 FIGURES_HEAD = ("", "as drawn", "range", "unit", "of")
@@ -75,6 +75,7 @@ def figures_of(
     tolerances: Tolerances | None = None,
     bodies: Bodies | None = None,
     progress: Callable[[str], None] = lambda step: None,
+    crank_speed: float = CRANK_SPEED,
 ) -> tuple[list[Figure], list[Stress]]:
     """Return the figures of a drive as drawn, at its rated torque, and its nominal stresses.
 
@@ -88,13 +89,15 @@ def figures_of(
         Dimensions of discs and pins, for masses and stresses; None for those of the pair.
     progress
         Called with the name of each stage.
+    crank_speed
+        Of a bearing's life in hours, rad/s.
     """
     bodies = bodies or pair.bodies
     progress("tolerances")
     found = _of_tolerances(pair, tolerances)
     progress("stiffness and pressure")
     solved = _over_modulus(pair)
-    found += _of_material(pair, solved)
+    found += _of_material(pair, solved, crank_speed)
     if pair.losses is not None and pair.supports is not None:
         progress("losses")
         found += _of_friction(pair.replace(bodies=None))
@@ -146,7 +149,7 @@ def _over_modulus(pair: Pair) -> list[Transmission]:
     return [solve(DriveValue(one, surface_of_pair(one)), load, _turn(), with_play=False) for one in drives]
 
 
-def _of_material(pair: Pair, solved: Sequence[Transmission]) -> list[Figure]:
+def _of_material(pair: Pair, solved: Sequence[Transmission], crank_speed: float) -> list[Figure]:
     """Stiffness, largest pressure, and bearing life, over the range of the discs' modulus."""
     stiffness = [float(each.torsional_stiffness[0].mean()) for each in solved]
     pressure = [float(each.max_contact_pressure.max()) for each in solved]
@@ -166,8 +169,9 @@ def _of_material(pair: Pair, solved: Sequence[Transmission]) -> list[Figure]:
     if not lives:
         return [*rows, Figure("bearing life", "1", _UNKNOWN, "no bearing states its dynamic_capacity")]
     shortest = min(lives, key=lives.__getitem__)
-    hours = lives[shortest] / (60.0 * _MOTOR_SPEED)
-    basis = f"{shortest}: L10 (ISO 281) at rated torque, {hours:.3g} h at {_MOTOR_SPEED:g} rpm of the crank"
+    rpm = crank_speed * 30.0 / math.pi
+    hours = lives[shortest] / (60.0 * rpm)
+    basis = f"{shortest}: L10 (ISO 281) at rated torque, {hours:.3g} h at {rpm:.4g} rpm of the crank"
     million = ("million turns", 1e-6)
     return [*rows, Figure("bearing life", "1", (lives[shortest], math.nan, math.nan), basis, million)]
 
@@ -175,7 +179,7 @@ def _of_material(pair: Pair, solved: Sequence[Transmission]) -> list[Figure]:
 def _of_friction(pair: Pair) -> list[Figure]:
     """Efficiency, starting and back-driving torque, over the range of the friction coefficients."""
     value = DriveValue(pair, surface_of_pair(pair))
-    found = friction.figures(value, [pair.rated_load()], _turn(), _CRANK_SPEED)
+    found = friction.figures(value, [pair.rated_load()], _turn(), _SLOW)
     of = "range of the friction in the table"
 
     def ends(get: Callable[[Any], float]) -> tuple[float, float, float]:

@@ -2,6 +2,7 @@
 
 Sizes follow rules that are stated with each value; modification and face width are those of `design.search`, for the
 least backlash at which drives of the process turn freely, and for the least width that the weaker material carries.
+The face width grows where the drive on its bearings needs more, with its elastic bodies if it has them.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import itertools
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 import pydantic
@@ -19,9 +20,9 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from cycloid_fmu.analysis import solve
-from cycloid_fmu.contact.transmission import UnbalancedError
+from cycloid_fmu.contact.transmission import Transmission, UnbalancedError
 from cycloid_fmu.drive_value import DriveValue
-from cycloid_fmu.geometry import sizes
+from cycloid_fmu.geometry import CRANK_SPEED, sizes
 from cycloid_fmu.geometry.bodies import Bodies
 from cycloid_fmu.geometry.losses import Losses
 from cycloid_fmu.geometry.materials import MATERIALS
@@ -30,6 +31,7 @@ from cycloid_fmu.geometry.processes import PROCESSES, Process, standard_toleranc
 from cycloid_fmu.geometry.supports import OutputRoller, Supports
 from cycloid_fmu.studies.design import DesignTask, search
 from cycloid_fmu.studies.tolerance import Study, exact_figures, points, surface_of
+from cycloid_fmu.supports.figures import bearing_loads
 from cycloid_fmu.surfaces.sampling import Tolerances, parse_tolerances
 from cycloid_fmu.surfaces.surface import surface_of_pair
 
@@ -67,8 +69,14 @@ _LARGEST_WIDTH = 0.3  # of all discs together relative to the outer diameter
 _LEAST_WIDTH = 2e-3  # m
 _GAP = 0.5e-3  # m, between discs and beside them
 _OUTPUT_PINS = ((6, 8, 5, 4), (10, 12))  # numbers in the order of preference; many small ones only if few do not fit
-_TRIALS = 5  # doublings of the diameter or quarterings of the torque, and bisections, for the nearest possible drive
-_WIDENED = 5  # times that the face width is adapted to the bearings
+_TRIALS = 5  # doublings or quarterings of a value, and bisections, for the nearest possible drive
+_LEVERS = (  # what may be changed for that, its unit and what it is of, shown unit per SI unit, factor of a trial
+    ("outer_diameter", "mm of outer diameter", 1e3, 2.0),
+    ("torque", "N*m of torque", 1.0, 0.25),
+    ("length", "mm of length", 1e3, 2.0),
+    ("life", "h of life", 1.0 / 3600.0, 0.25),
+)
+_ADAPTED = 5  # times that face width and eccentric bearing are adapted to the drive on its bearings
 _SAFETY = 1.5  # of output pins against bending fatigue
 _OUTPUT_STEEL = "case-hardened steel"
 _AS_WIDE = "as wide as the eccentric bearing"
@@ -76,7 +84,7 @@ _SHEAR = 30e6  # Pa: of the crank, as in handbooks for shafts whose bending is n
 _BEARING_SPEED, _BEARING_LOAD = 2.0, 0.0007  # f_0 and f_1 of deep groove bearings with grease (Palmgren)
 
 
-class Wish(edge.Config):
+class Wish(edge.Arguments):
     """What a drive shall be.
 
     Attributes
@@ -101,6 +109,10 @@ class Wish(edge.Config):
         "gear": the carrier turns; "ring": the ring does.
     length
         Most that the discs may take along the axis with 0.5 mm between and beside them, m; None for no limit.
+    life
+        Least L10 life of the eccentric bearing at the rated torque and `crank_speed`, s; None for any.
+    crank_speed
+        Speed of the crank, rad/s.
     bodies
         Whether discs, output pins and ring are elastic in the drive.
 
@@ -122,6 +134,8 @@ class Wish(edge.Config):
     discs: int = pydantic.Field(default=2, ge=1, le=4, strict=True)
     output: Literal["gear", "ring"] = "gear"
     length: sizes.Width | None = None
+    life: Annotated[edge.Seconds, pydantic.Field(gt=0.0)] | None = None
+    crank_speed: Annotated[edge.Speed, pydantic.Field(gt=0.0)] = CRANK_SPEED
     bodies: bool = pydantic.Field(default=False, strict=True)
 
     @pydantic.field_validator("material", "pin_material")
@@ -140,18 +154,23 @@ class Wish(edge.Config):
     def _possible(self) -> Wish:
         least, most = (teeth + (self.output == "ring") for teeth in (LEAST_TEETH, MOST_TEETH))
         if not least <= abs(self.ratio) <= most:
-            raise ValueError(
-                f"ratio = {self.ratio}: one stage has a ratio from {least} to {most} with output = {self.output!r}; "
-                "a larger one needs a first stage before it"
-            )
-        if self.bodies and self.output == "ring":
-            raise ValueError('bodies = true needs bearings, which output = "ring" does not have')
+            said = f"one stage with the {self.output} as output has a ratio from {least} to {most}"
+            more = "; a larger one needs a first stage before it" if abs(self.ratio) > most else ""
+            raise edge.ArgumentError("ratio", said + more, self.ratio)
+        for name in ("bodies", "life"):
+            if getattr(self, name) and self.output == "ring":
+                raise edge.ArgumentError(name, "needs bearings, which a drive with the ring as output does not have")
         return self
 
     @property
     def gear_teeth(self) -> int:
         """Teeth of the discs: the ratio with the gear as output, one less with the ring."""
         return abs(self.ratio) - (self.output == "ring")
+
+    @property
+    def crank_turns(self) -> float:
+        """Crank turns of the stated life; 0 without."""
+        return 0.0 if self.life is None else self.life * self.crank_speed / (2.0 * math.pi)
 
     @property
     def material_of_pins(self) -> str:
@@ -246,11 +265,12 @@ def _mesh(wish: Wish, process: Process) -> _Mesh:
         eccentricity = step * math.floor(_SHORTENING * circle / pins / step)
         if eccentricity > 0.0 and smallest_convex_radius(circle, eccentricity, pins) >= _CURVATURE * radius:
             return _Mesh(circle, radius, round(eccentricity, 9))
-    raise _TooSmallError(f"no pin of 1 mm or more fits {pins} times into {wish.outer_diameter * 1e3:g} mm")
+    problem = f"no pin of {_DOWELS[0]:g} mm or more fits {pins} times inside"
+    raise _ImpossibleError("outer_diameter", problem, wish.outer_diameter)
 
 
-class _TooSmallError(edge.InputError):
-    """A wish for which there is no room."""
+class _ImpossibleError(edge.ArgumentError):
+    """A value of a wish for which there is no drive."""
 
 
 def process_tolerances(wish: Wish, mesh: _Mesh) -> str:
@@ -289,8 +309,8 @@ def size(wish: Wish, progress: Callable[[str], None] = lambda step: None) -> Siz
 
     Raises
     ------
-    edge.InputError
-        If there is none; the sentence names the nearest outer diameter and the nearest torque that are possible.
+    edge.ArgumentError
+        If there is none; the sentence names the nearest values of the wish that are possible, each by itself.
 
     Examples
     --------
@@ -302,11 +322,13 @@ def size(wish: Wish, progress: Callable[[str], None] = lambda step: None) -> Siz
     """
     try:
         return _sized(wish, progress)
-    except _TooSmallError as problem:
-        raise edge.InputError(f"There is no such drive: {problem}. {_nearest(wish, progress)}") from None
+    except _ImpossibleError as problem:
+        impossible: edge.ArgumentError = problem
     except UnbalancedError:
-        said = f"There is no such drive: no contacts that fit can balance {wish.torque:g} N*m"
-        raise edge.InputError(f"{said}. {_nearest(wish, progress)}") from None
+        impossible = edge.ArgumentError("torque", "no contacts that fit can balance it", wish.torque)
+    raise edge.ArgumentError(
+        impossible.argument, f"{impossible.problem}; {_nearest(wish, progress)}", impossible.value
+    ) from None
 
 
 def _sized(wish: Wish, progress: Callable[[str], None], search_modification: bool = True) -> Sizing:
@@ -329,10 +351,7 @@ def _sized(wish: Wish, progress: Callable[[str], None], search_modification: boo
             "ring": {"name": wish.material},
         },
     )
-    if search_modification:
-        pair = _modified(pair, parse_tolerances(tolerances, "tolerances of the process"), process, progress)
-    else:
-        pair = pair.replace(isometric=_USUAL_CLEARANCE * process.position(2.0 * mesh.circle))
+    pair = _modified(pair, wish, tolerances, progress, search_modification)
     limit = pair.largest_pressure
     assert limit is not None
     pair, binding = _wide_enough(pair, wish, process, limit.pressure, progress)
@@ -344,11 +363,9 @@ def _sized(wish: Wish, progress: Callable[[str], None], search_modification: boo
         if pair.face_width == output.bearing_width:
             reasons["pair.face_width"] = _AS_WIDE
         notes += output.notes
-        bodies = _bodies(wish, pair, output)
         if wish.bodies:
-            rollers = {"output_roller": output.rollers.replace(stiffness=output.contact_stiffness)}
-            pair = pair.replace(bodies=bodies, supports=output.supports.replace(**rollers))
             reasons["supports.output_roller"] = "contact alone, because the output pins bend as bodies"
+        bodies = _bodies(wish, pair, output)
         return Sizing(wish, pair, tolerances, reasons, tuple(notes), bodies, output.contact_stiffness)
     notes.append('output = "ring": bearings and output are not modelled, so neither sized here; no losses.')
     return Sizing(wish, pair, tolerances, reasons, tuple(notes))
@@ -380,7 +397,7 @@ def _notes(wish: Wish) -> list[str]:
     gear = MATERIALS[wish.material]
     notes = [
         "A first drive: sizes by rules, modification and face width by the search of `design`"
-        + ("." if wish.bodies else "; its bodies are rigid, so the real drive is softer."),
+        + ("; bodies are elastic." if wish.bodies else "; its bodies are rigid, so the real drive is softer."),
     ]
     if wish.ring == "conjugate":
         notes.append(
@@ -395,10 +412,21 @@ def _notes(wish: Wish) -> list[str]:
     return notes
 
 
-def _modified(pair: Pair, tolerances: Tolerances, process: Process, progress: Callable[[str], None]) -> Pair:
-    """Return the pair with the modification of least backlash at which drives of the process turn freely."""
-    reach = _MODIFICATION * process.position(2.0 * pair.pin_circle_radius)
-    most = min(reach, 0.9e-3, 0.3 * pair.pin_radius)
+def _modified(pair: Pair, wish: Wish, tolerance_text: str, progress: Callable[[str], None], searched: bool) -> Pair:
+    """Return the pair with the modification of least backlash at which drives of the process turn freely.
+
+    Without a search it is the one that a search usually ends with, of a drive for which there is one.
+    """
+    position = PROCESSES[wish.process].position(2.0 * pair.pin_circle_radius)
+    tolerances = parse_tolerances(tolerance_text, "tolerances of the process")
+    most = min(_MODIFICATION * position, 0.9e-3, 0.3 * pair.pin_radius)
+    largest = pair.replace(isometric=most)
+    largest_pressure(largest)  # refuses a torque that no contacts balance: the search would name its ranges
+    if (share := _free(largest, tolerances)) < _YIELD:
+        problem = f"{share:.0%} of drives turn freely at the largest modification, {most * 1e6:.0f} um"
+        raise _ImpossibleError("process", problem, wish.process)
+    if not searched:
+        return pair.replace(isometric=min(_USUAL_CLEARANCE * position, most))
     task = DesignTask(
         goals=("backlash",),
         vary={"isometric": (0.0, most), "offset": (-most, 0.0)},
@@ -410,13 +438,10 @@ def _modified(pair: Pair, tolerances: Tolerances, process: Process, progress: Ca
     (found,) = search(start, task, tolerances, starts=0)
     pair = found.pair
     # The search has its own drives; others decide, and a step more of clearance where too few of them turn.
-    while (share := _free(pair, tolerances)) < _YIELD:
+    while _free(pair, tolerances) < _YIELD:
         larger = pair.modification.isometric + _STEP * most
         if larger > most:
-            raise _TooSmallError(
-                f"with what the process holds, {share:.0%} of drives turn freely at the largest modification, "
-                f"{most * 1e6:.0f} µm"
-            )
+            return largest
         pair = pair.replace(isometric=round(larger, 9))
     return pair
 
@@ -437,10 +462,7 @@ def _wide_enough(
     most = _widest(wish)
     reached = largest_pressure(pair.replace(face_width=most))
     if reached > pressure:
-        raise _TooSmallError(
-            f"at the largest face width, {most * 1e3:.3g} mm a disc, the contact pressure is {reached * 1e-6:.4g} MPa, "
-            f"and {wish.material} bears {pressure * 1e-6:.4g} MPa"
-        )
+        raise _too_much(wish, f"at the largest face width, {most * 1e3:.3g} mm a disc,", reached, pressure)
     task = DesignTask(
         goals=("face_width",), vary={"face_width": (least, most)}, limits={"max_contact_pressure": pressure}
     )
@@ -451,16 +473,28 @@ def _wide_enough(
     return found.pair.replace(face_width=min(_half_mm(needed), round(most, 6))), why
 
 
+def _too_much(wish: Wish, where: str, reached: float, pressure: float) -> _ImpossibleError:
+    """Return the error of a torque under which the contact pressure is too high, Pa."""
+    said = (
+        f"{where} the contact pressure is {reached * 1e-6:.4g} MPa, and {wish.material} bears {pressure * 1e-6:.4g} MPa"
+    )
+    return _ImpossibleError("torque", said, wish.torque)
+
+
 def _widest(wish: Wish) -> float:
     """Return the largest face width of a disc, m."""
-    most, least = _LARGEST_WIDTH * wish.outer_diameter / wish.discs, max(_LEAST_WIDTH, PROCESSES[wish.process].wall)
-    if wish.length is not None:
-        most = min(most, (wish.length - _GAP * (wish.discs + 1)) / wish.discs)
+    least, gaps = max(_LEAST_WIDTH, PROCESSES[wish.process].wall), _GAP * (wish.discs + 1)
+    discs = f"{wish.discs} discs of at least {least * 1e3:.3g} mm"
+    most = _LARGEST_WIDTH * wish.outer_diameter / wish.discs
     if most < least:
-        raise _TooSmallError(
-            f"{wish.discs} discs of at least {least * 1e3:.3g} mm with gaps of {_GAP * 1e3:g} mm do not fit"
-        )
-    return most
+        problem = f"{discs} are wider than {_LARGEST_WIDTH:g} of it"
+        raise _ImpossibleError("outer_diameter", problem, wish.outer_diameter)
+    if wish.length is None:
+        return most
+    if wish.length < wish.discs * least + gaps:
+        problem = f"{discs} with gaps of {_GAP * 1e3:g} mm take {(wish.discs * least + gaps) * 1e3:.3g} mm"
+        raise _ImpossibleError("length", problem, wish.length)
+    return min(most, (wish.length - gaps) / wish.discs)
 
 
 def _length(pair: Pair) -> float:
@@ -504,8 +538,10 @@ def _bodies(wish: Wish, pair: Pair, output: _Output) -> Bodies:
     )
 
 
-def _output(wish: Wish, pair: Pair, process: Process) -> _Output:
+def _output(wish: Wish, pair: Pair, process: Process, capacity: float) -> _Output:
     """Return supports and losses of a drive with output pins: pins and eccentric bearing that fit.
+
+    `capacity` is the least dynamic capacity of the bearing, N.
 
     Raises
     ------
@@ -521,8 +557,8 @@ def _output(wish: Wish, pair: Pair, process: Process) -> _Output:
     assert strength is not None
     allowed = strength[0] / _SAFETY
     for counts, bearing in itertools.product(_OUTPUT_PINS, reversed(_BALL_BEARINGS)):
-        bore, outside, ball_width, _ = bearing
-        if 0.5e-3 * bore < shaft + e + 1e-3 or 1e-3 * ball_width > _widest(wish):
+        bore, outside, ball_width, rating = bearing
+        if 0.5e-3 * bore < shaft + e + 1e-3 or 1e-3 * ball_width > _widest(wish) or 1e3 * rating < capacity:
             continue
         inner, room = 0.5e-3 * outside + wall, 0.5 * (root - 0.5e-3 * outside) - wall
         circle = round(0.5 * (inner + root - wall), 4)
@@ -534,30 +570,50 @@ def _output(wish: Wish, pair: Pair, process: Process) -> _Output:
             if hole > room or 2.0 * circle * math.sin(math.pi / count) < 2.0 * hole + wall:
                 continue
             return _with_output(wish, pair, bearing, circle, count, pin, force, length)
-    raise _TooSmallError(
-        f"no eccentric bearing with output pins fits inside the flank's roots, {2e3 * root:.3g} mm in diameter"
-    )
+    inside = f"with output pins fits inside the flank's roots, {2e3 * root:.3g} mm in diameter"
+    if capacity > 0.0:
+        problem = f"it needs a dynamic capacity of {capacity * 1e-3:.3g} kN, and no such eccentric bearing {inside}"
+        raise _ImpossibleError("life", problem, wish.life)
+    raise _ImpossibleError("outer_diameter", f"no eccentric bearing {inside}", wish.outer_diameter)
 
 
 def _held(wish: Wish, pair: Pair, process: Process, pressure: float) -> tuple[_Output, Pair]:
-    """Return output and bearings, and the drive on them, as much wider as their play and give make necessary."""
-    most = _widest(wish)
-    for _ in range(_WIDENED):
-        output = _output(wish, pair, process)
+    """Return output and bearings, and the drive on them, as much wider as their play and give make necessary.
+
+    Where the wish has elastic bodies the drive has them too. The bearing is one that lives as long as wished.
+    """
+    most, capacity = _widest(wish), 0.0
+    for _ in range(_ADAPTED):
+        output = _output(wish, pair, process, capacity)
         if pair.face_width < output.bearing_width:
             pair = pair.replace(face_width=output.bearing_width)
             continue
-        held = pair.replace(supports=output.supports, losses=output.losses)
-        reached = largest_pressure(held)
+        held = _on_bearings(wish, pair, output)
+        solved = _at_rated_torque(held)
+        (shorter, of), *_ = sorted(
+            (each.life, each.exponent) for each in bearing_loads(held, solved) if each.life > 0.0
+        )
+        if shorter < wish.crank_turns:
+            rating = output.supports.turning_arm.dynamic_capacity or 0.0
+            capacity = rating * (wish.crank_turns / shorter) ** (1.0 / of)
+            continue
+        reached = float(solved.max_contact_pressure.max())
         if reached <= pressure:
             return output, held
         pair = pair.replace(face_width=_half_mm(pair.face_width * (reached / pressure) ** 2))
         if pair.face_width > most:
             break
-    raise _TooSmallError(
-        f"on its bearings the contact pressure is {reached * 1e-6:.4g} MPa at a face width of "
-        f"{held.face_width * 1e3:.3g} mm, and {wish.material} bears {pressure * 1e-6:.4g} MPa"
-    )
+    where = "on its bearings" + (", with elastic bodies" if wish.bodies else "")
+    raise _too_much(wish, f"{where}, {1e3 * held.face_width:.3g} mm a disc,", reached, pressure)
+
+
+def _on_bearings(wish: Wish, pair: Pair, output: _Output) -> Pair:
+    """Return the drive on its bearings, with elastic bodies where the wish has them."""
+    held = pair.replace(supports=output.supports, losses=output.losses)
+    if not wish.bodies:
+        return held
+    rollers = output.rollers.replace(stiffness=output.contact_stiffness)
+    return held.replace(bodies=_bodies(wish, pair, output), supports=output.supports.replace(output_roller=rollers))
 
 
 def _half_mm(width: float) -> float:
@@ -614,6 +670,13 @@ def _with_output(
         "Rigid here, because nothing is known of them: crank shaft and its bearings, main bearing, pin seats.",
         "Assumed: pins lie in the ring over their width, output pins are held at both ends.",
     ]
+    if wish.life is None:
+        notes.append(
+            "No life was wished for, so the eccentric bearing is the largest that fits, however long it lives."
+        )
+    else:
+        lives = f"at least {wish.life / 3600.0:.4g} h at {wish.crank_speed * 30.0 / math.pi:.4g} rpm"
+        reasons["supports.turning_arm"] += f"; L10 of {lives}"
     if losses is None:
         notes.append(
             f"Efficiency and torques from rest are not known: no friction of {wish.material} on "
@@ -677,41 +740,54 @@ def _friction_of(wish: Wish) -> str:
 
 
 def _nearest(wish: Wish, progress: Callable[[str], None]) -> str:
-    """Return what is possible instead, as sentences: a larger drive, and a smaller torque."""
+    """Return what is possible instead: values of a wish that were sized, each with the others as wished."""
 
-    def refused(**changes: float) -> str:
+    def possible(name: str, value: float, searched: bool = False) -> bool:
         try:
-            _sized(wish.replace(**changes), lambda step: None, search_modification=False)
-        except edge.InputError as problem:
-            return str(problem)
-        return ""
+            _sized(wish.replace(**{name: value}), lambda step: None, search_modification=searched)
+        except edge.InputError:
+            return False
+        return True
 
-    said = []
-    for name, unit, factor, step in (("outer_diameter", "mm", 1e3, 2.0), ("torque", "N*m", 1.0, 0.25)):
-        word, wished = name.replace("_", " "), getattr(wish, name)
-        progress(f"nearest possible {word}")
-        trials = range(1, _TRIALS + 1)
-        impossible, possible = 0.0, next((k for k in trials if not refused(**{name: wished * step**k})), 0)
-        if not possible:
-            end = wished * step**_TRIALS
-            still = refused(**{name: end}).rstrip(".")
-            said.append(f"At {end * factor:.2g} {unit} of {word}, {still}.")
+    offers = []
+    for name, unit, shown, step in _LEVERS:
+        if (wished := getattr(wish, name)) is None:
             continue
-        impossible, nearest = possible - 1.0, float(possible)
+        progress(f"nearest possible {name.replace('_', ' ')}")
+        far = next((float(k) for k in range(1, _TRIALS + 1) if possible(name, wished * step**k)), None)
+        if far is None:
+            continue
+        near = far - 1.0
         for _ in range(_TRIALS):
-            middle = 0.5 * (impossible + nearest)
-            impossible, nearest = (
-                (middle, nearest) if refused(**{name: wished * step**middle}) else (impossible, middle)
-            )
-        said.append(f"About {wished * step**nearest * factor:.3g} {unit} of {word} would be possible.")
-    return " ".join(said)
+            middle = 0.5 * (near + far)
+            near, far = (near, middle) if possible(name, wished * step**middle) else (middle, far)
+        # With the modification that is searched for it may need a little more.
+        for end in far + np.arange(_TRIALS) * 0.5**_TRIALS:
+            offer = _three_digits(wished * step**end * shown, step > 1.0)
+            if possible(name, offer / shown, searched=True):
+                offers.append(f"{offer:g} {unit}")
+                break
+    if not offers:
+        words = [name.replace("_", " ") for name, *_ in _LEVERS if getattr(wish, name)]
+        return f"no other {' or '.join(words)} by itself would do"
+    return f"{' or '.join(offers)} would be possible"
 
 
-def largest_pressure(pair: Pair, angles: int = 90) -> float:
+def _three_digits(value: float, up: bool) -> float:
+    """Round a value above zero up or down to three significant digits."""
+    digit = 10.0 ** (math.floor(math.log10(value)) - 2)
+    return (math.ceil if up else math.floor)(value / digit) * digit
+
+
+def _at_rated_torque(pair: Pair) -> Transmission:
+    """Return a drive at its rated torque over a crank turn."""
+    turn = np.linspace(0.0, 2.0 * np.pi, _ANGLES, endpoint=False)
+    return solve(DriveValue(pair, surface_of_pair(pair)), np.array([pair.rated_load()]), turn, with_play=False)
+
+
+def largest_pressure(pair: Pair) -> float:
     """Return the largest contact pressure of a drive at its rated torque over a crank turn, Pa."""
-    turn = np.linspace(0.0, 2.0 * np.pi, angles, endpoint=False)
-    found = solve(DriveValue(pair, surface_of_pair(pair)), np.array([pair.rated_load()]), turn, with_play=False)
-    return float(found.max_contact_pressure.max())
+    return float(_at_rated_torque(pair).max_contact_pressure.max())
 
 
 SIZED_FILES = ("drive.toml", "tolerances.toml", "figures.json")

@@ -271,7 +271,7 @@ def _of_discs(pair: Pair, swept: Transmission, bodies: Bodies) -> Iterator[Stres
             value /= 2.0 * roller.radius * pair.face_width
             yield _judged("disc", "pressure", value, limit, where, "F/(d b) of an output pin in its hole")
     body = bodies.disc
-    if body is not None and body.matrix is None and body is (pair.bodies and pair.bodies.disc):
+    if body is not None and body.matrix is None and body == (pair.bodies and pair.bodies.disc):
         yield from _of_webs(pair, swept, body, limit)
     else:
         yield from _of_eyes(pair, swept, body, limit)

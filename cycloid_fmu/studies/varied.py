@@ -118,8 +118,7 @@ def varied(name: str, given: str | Iterable[float | str]) -> Varied:
         if name == "pins":
             raise edge.ArgumentError("vary", "pins are one more than gear_teeth; vary these", name)
         near = edge.did_you_mean(name, known)
-        why = f"not a number of a pair file{f'; {near}' if near else ''}"
-        raise edge.ArgumentError("vary", why.rstrip("?"), name)
+        raise edge.ArgumentError("vary", f"not a number of a pair file{f'; {near}' if near else ''}", name)
     si, whole = (of_waves[wave[1]], False) if wave else known[name]
     try:
         texts, unit = _texts(given, si)

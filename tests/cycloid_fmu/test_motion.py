@@ -204,6 +204,16 @@ def test_the_command_draws_the_same_file_twice(command, tmp_path):
     assert (tmp_path / "one.svg").read_bytes() == (tmp_path / "two.svg").read_bytes()
 
 
+@pytest.mark.slow(5)
+def test_an_animated_page_samples_each_pin_pitch_alike(command, tmp_path):
+    # Without errors the transmission error has the period of a pin pitch, and so has its curve.
+    done = command("cycloid-fmu", "draw", EXAMPLES / "drive-39-40.toml", "--torque", "181 N*m", "-o", "drive.html")
+    assert done.returncode == 0, done.stderr
+    curves = re.search(r'"error":(\[\[.*?\]\])', (tmp_path / "drive.html").read_text(encoding="utf-8"))[1]
+    at_rated_torque = np.array(json.loads(curves))[-1].reshape(40, -1)
+    assert np.ptp(at_rated_torque, axis=0).max() < 1e-3 < np.ptp(at_rated_torque)
+
+
 @pytest.fixture(scope="module")
 def shown(tmp_path_factory):
     playwright = pytest.importorskip("playwright.sync_api")

@@ -17,6 +17,7 @@ import typer
 from common import EXAMPLES, resolved
 
 from cycloid_fmu import edge
+from cycloid_fmu.drive import read_drive
 from cycloid_fmu.errors.kinds import KINDS
 from cycloid_fmu.fmu.description import model_variables
 from cycloid_fmu.fmu.variables import from_tables
@@ -62,7 +63,8 @@ header='TIME [s],POSITION [rev],TORQUE [Nm]', comments='')
 """.strip().replace("\n", " ")
 # Pages that go on in the folder of another.
 CONTINUES = dict.fromkeys(
-    ("controller", "compensation", "fmu", "identify", "identify_unknowns", "recalibrate"), "test_bench_engineer"
+    ("controller", "compensation", "fmu", "fmu_losses", "fmu_tools", "identify", "identify_unknowns", "recalibrate"),
+    "test_bench_engineer",
 )
 # Given to a page: your files, and your bench.
 GIVEN = {
@@ -333,6 +335,23 @@ def test_each_measured_number_of_the_readme_is_one_of_the_measured_figures():
             assert any(round(float(n), digits) == float(number) for n, of in measured if of == unit), (number, unit)
 
 
+def test_every_example_drive_is_listed_with_its_ratio():
+    """Those that are there, and no other; one of them is a joint with output rollers."""
+    page = (ROOT / "docs" / "example_drives.md").read_text(encoding="utf-8")
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in page.splitlines() if line[:3] == "| `"]
+    listed = {name.strip("`"): (ratio, *words) for name, ratio, *words in rows}
+    drives = {}
+    for path in EXAMPLES.glob("*.toml"):
+        if edge.format_of(path) in ("cycloid-pair/1", "cycloid-reducer/1"):
+            drives[path.name] = read_drive(path)
+    assert set(listed) == set(drives)
+    for name, (ratio, *words) in listed.items():
+        assert float(ratio.replace("−", "-")) == pytest.approx(drives[name].ratio)
+        assert all(words), name
+    supports = (drive.pair.supports for drive in drives.values())
+    assert any(one is not None and one.kind == "output_rollers" for one in supports)
+
+
 GLOSSARY = ROOT / "docs" / "reference" / "glossary.md"
 # Pages that use the terms of drives and measurements; the other pages are about the package itself.
 WITH_TERMS = sorted(
@@ -378,6 +397,13 @@ def test_a_late_link_to_the_glossary_is_found():
 
 def test_the_readme_is_short():
     assert len((ROOT / "README.md").read_text(encoding="utf-8").split()) <= 900
+
+
+def test_no_page_that_must_be_read_to_act_is_long():
+    """How-to pages and tutorials; the coverage of an identification is looked up."""
+    acted_on = {*(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "tutorials").glob("*.md")}
+    words = {page.name: len(page.read_text(encoding="utf-8").split()) for page in acted_on}
+    assert {name for name, count in words.items() if count > 2000} == {"identify_coverage.md"}
 
 
 def test_the_measured_figures_by_question_are_those_of_the_record(monkeypatch):
