@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -30,6 +30,7 @@ PositivePressure = Annotated[edge.Pressure, pydantic.AfterValidator(_positive)]
 Coordinate = Annotated[Length, pydantic.AfterValidator(_near)]
 SpanLength = sizes.Width
 MOST_WINDOWS = 120
+LEAST_FACTOR, LARGEST_FACTOR = 1e-3, 1e3
 _WINDOW_KEYS = {
     "fan": ("inner_radius", "outer_radius", "half_angle", "corner_radius"),
     "round": ("circle_radius", "radius"),
@@ -49,11 +50,23 @@ class ElasticBody(Config):
         Poisson's ratio; by default that of the same material, and 0.3 for the others.
     matrix
         File of the body's influence matrix, `cycloid-influence/1` (netCDF, or CSV); None to compute it.
+    stiffness_factor
+        Factor on the stiffness by its dimensions or its matrix, as an identification finds it; None for 1.
+    stiffness_uncertainty
+        Standard deviation of the logarithm of that factor, about the relative one of the stiffness: an identification
+        then fits the stiffness. None if it is as stated.
     """
 
     youngs_modulus: PositivePressure | None = None
     poissons_ratio: float | None = pydantic.Field(default=None, ge=0.0, lt=0.5)
     matrix: str | None = None
+    stiffness_factor: float | None = pydantic.Field(default=None, ge=LEAST_FACTOR, le=LARGEST_FACTOR)
+    stiffness_uncertainty: float | None = pydantic.Field(default=None, gt=0.0, le=2.0)
+
+    @property
+    def compliance_factor(self) -> float:
+        """Factor on the influence by its dimensions or its matrix."""
+        return 1.0 if self.stiffness_factor is None else 1.0 / self.stiffness_factor
 
     def _check_stated(self, *keys: str) -> None:
         """Raise a `ValueError` that names the first of the dimensions that is missing without a matrix."""
@@ -393,6 +406,12 @@ class Bodies(Config):
         for name in type(self).model_fields:
             if isinstance(body := getattr(self, name), ElasticBody):
                 yield name, body
+
+    def with_factors(self, factors: Mapping[str, float | None]) -> Bodies:
+        """Return the bodies with other stiffness factors, by the bodies' keys."""
+        return self.replace(
+            **{name: getattr(self, name).replace(stiffness_factor=factor) for name, factor in factors.items()}
+        )
 
     def in_folder(self, folder: Path) -> Bodies:
         """Return the bodies with the names of their files relative to a folder."""
