@@ -16,6 +16,7 @@ from cycloid_fmu.losses.heat import Running, at_oil_temperature, heat
 from cycloid_fmu.losses.sensitivity import motion_sensitivity, sensitivity
 from cycloid_fmu.losses.solver import solve as rub
 from cycloid_fmu.supports.figures import remaining
+from cycloid_fmu.supports.transmission import parameters_of
 from cycloid_fmu.surfaces.structured import displacement_layout
 
 SPEED = 10.0
@@ -115,6 +116,19 @@ def test_derivatives_with_friction_are_differences(name):
         assert of_torque[key] == pytest.approx(by, rel=1e-3), key
         if np.abs(derivative).max() > 0.0:
             assert differs(derivative, with_coefficient, step) < 1e-3, key
+
+
+@pytest.mark.parametrize("name", RUBBING)
+def test_derivatives_with_friction_by_the_stiffness_of_bodies_are_differences(name):
+    pair, step = RUBBING[name], 1e-3
+    found = motion_sensitivity(DriveValue.as_stated(pair), 20.0, ANGLES, 1, SPEED).motion.by_bearing
+    for body, _ in pair.bodies.stated():
+        high, low = (
+            rubbed(pair.replace(bodies=pair.bodies.with_factors({body: np.exp(way * step)}))).motion.transmission_error
+            for way in (1.0, -1.0)
+        )
+        column = found[:, parameters_of(pair).index(f"{body}_stiffness")]
+        assert (high - low)[0] / (2.0 * step) == pytest.approx(column, rel=2e-3), body
 
 
 def test_a_warm_drive_gives_off_the_heat_of_its_elastic_bodies():
