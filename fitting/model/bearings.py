@@ -32,8 +32,9 @@ PLAY = "first_stage_play"
 def unknown_bearings(pair: Pair, first_stage: FirstStage | None = None) -> tuple[str, ...]:
     """Return the unknowns of the bearings: stiffness and clearance of each compliant one, by the names of `LAWS`.
 
-    The stiffness of elastic bodies follows where the file states its uncertainty (`disc_stiffness`). Friction coefficients that are known within a range follow (`fitting.model.losses.unknown_coefficients`), and behind
-    a first stage the free rotation of its cranks comes last.
+    Where the file states the uncertainty of an elastic body's stiffness, this follows (`disc_stiffness`), then friction
+    coefficients that are known within a range (`fitting.model.losses.unknown_coefficients`), and behind a first stage
+    the free rotation of its cranks comes last.
     """
     found: list[str] = []
     for name in _BEARINGS:

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.surfaces.structured import profile_names
 from cycloid_fmu.supports.transmission import LAWS
+from cycloid_fmu.surfaces.structured import profile_names
 from fitting.model.bearings import PLAY
 from fitting.model.observations import PIN_RADIUS, PROFILE_ORDERS, scatter_names
 from fitting.model.posterior import Posterior

@@ -40,6 +40,7 @@ from cycloid_fmu.supports.joints import (
 )
 from cycloid_fmu.supports.sensitivity import (
     CLEARANCE,
+    PARAMETERS,
     STIFFNESS,
     sweep_supported_sensitivities,
 )
@@ -610,6 +611,7 @@ def test_a_new_kind_of_joint_is_one_definition(kind):
     assert force["main"] == pytest.approx(1.2e9 * length, rel=1e-6)
 
     by = no_derivatives(pair, assembly, 3)
+    by_joint, by_angle, by_torque = by.by_joint, by.by_angle, by.by_torque
     work, torques = work_of(assembly), np.full(3, 150.0)
     assert sweep_supported_sensitivities(problem, assembly, angles, torques, found.coordinates, by, work)
 
