@@ -140,12 +140,12 @@ def pair_with(pair: Pair, changes: Array, *, rounded: bool = False) -> Pair:
         given.setdefault(bearing, {}).update(value)
     changed = {name: getattr(pair.supports, name).model_copy(update=values) for name, values in given.items()}
     supports = pair.supports.model_copy(update=changed)
-    other: dict[str, Any] = {}
+    replaced: dict[str, Any] = {"supports": supports}
     if pair.bodies is not None and of_bodies:
-        other["bodies"] = _bodies_with(pair.bodies, of_bodies, rounded=rounded)
+        replaced["bodies"] = _bodies_with(pair.bodies, of_bodies, rounded=rounded)
     if pair.losses is not None and friction:
-        other["losses"] = losses_with(pair.losses, friction, rounded=rounded)
-    return pair.replace(supports=supports, **other)
+        replaced["losses"] = losses_with(pair.losses, friction, rounded=rounded)
+    return pair.replace(**replaced)
 
 
 def _bodies_with(bodies: Bodies, changes: Mapping[str, float], *, rounded: bool) -> Bodies:
