@@ -36,17 +36,17 @@ def unknown_bearings(pair: Pair, first_stage: FirstStage | None = None) -> tuple
     coefficients that are known within a range (`fitting.model.losses.unknown_coefficients`), and behind a first stage
     the free rotation of its cranks comes last.
     """
-    found: list[str] = []
+    names: list[str] = []
     for name in _BEARINGS:
         one = getattr(pair.supports, name, None)
         if one is None or (isinstance(one, Bearing) and one.is_rigid) or getattr(one, "rigid", False):
             continue
         if isinstance(one, OutputRoller) and one.stiffness is None:
             continue
-        found += [f"{name}_stiffness", f"{name}_clearance"]
-    found += [f"{name}_stiffness" for name in _sizes_of_bodies(pair)]
-    found += unknown_coefficients(pair)
-    return (*found, PLAY) if first_stage is not None else tuple(found)
+        names += [f"{name}_stiffness", f"{name}_clearance"]
+    names += [f"{name}_stiffness" for name in _sizes_of_bodies(pair)]
+    names += unknown_coefficients(pair)
+    return (*names, PLAY) if first_stage is not None else tuple(names)
 
 
 def _sizes_of_bodies(pair: Pair) -> dict[str, float]:
