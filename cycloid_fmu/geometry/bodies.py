@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import os
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -414,16 +415,23 @@ class Bodies(Config):
         )
 
     def in_folder(self, folder: Path) -> Bodies:
-        """Return the bodies with the names of their files relative to a folder."""
+        """Return the bodies of a file in a folder with the names of their files as seen from the working folder."""
+        return self._with_files(lambda name: os.path.normpath(folder / name))
+
+    def seen_from(self, folder: Path) -> Bodies:
+        """Return the bodies with the names of their files, unless absolute, as seen from a folder: of `in_folder`."""
+        return self._with_files(lambda name: name if Path(name).is_absolute() else os.path.relpath(name, folder))
+
+    def _with_files(self, renamed: Callable[[str], str]) -> Bodies:
         changes: dict[str, Any] = {
-            name: body.replace(matrix=str(folder / body.matrix))
+            name: body.replace(matrix=renamed(body.matrix))
             for name, body in self.stated()
             if isinstance(body.matrix, str)
         }
         if self.disc is not None and len(self.disc.matrices) > 1:
-            changes["disc"] = self.disc.replace(matrix=tuple(str(folder / name) for name in self.disc.matrices))
+            changes["disc"] = self.disc.replace(matrix=tuple(map(renamed, self.disc.matrices)))
         if self.disc is not None and any(window.dxf for window in self.disc.windows):
-            windows = tuple(w.replace(dxf=str(folder / w.dxf)) if w.dxf else w for w in self.disc.windows)
+            windows = tuple(w.replace(dxf=renamed(w.dxf)) if w.dxf else w for w in self.disc.windows)
             changes["disc"] = self.disc.replace(windows=windows)
         return self.replace(**changes)
 

@@ -12,6 +12,7 @@ from cycloid_fmu.bodies.matrices import matrices_of
 from cycloid_fmu.desk.view import look, open_desk
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.losses import PARTS
+from cycloid_fmu.geometry.pair import read_pair, write_pair
 from cycloid_fmu.losses.heat import Running, at_oil_temperature, heat
 from cycloid_fmu.losses.sensitivity import motion_sensitivity, sensitivity
 from cycloid_fmu.losses.solver import solve as rub
@@ -170,6 +171,19 @@ def test_file_names_are_relative_to_the_file_that_states_them(folder, name, monk
     drive = cy.read_drive(folder / name)
     found = solve(drive.stage, [20.0], ANGLES, with_play=False)
     assert found.transmission_error == pytest.approx(solved(SOFT_CRANKS).transmission_error, rel=1e-9)
+
+
+def test_a_pair_in_another_folder_states_the_files_as_seen_from_there(folder, monkeypatch, tmp_path):
+    monkeypatch.chdir(folder)
+    pair = read_pair("pair.toml")
+    for there in (folder / "inside", tmp_path):
+        there.mkdir(exist_ok=True)
+        write_pair(pair, there / "written.toml")
+        again = read_pair(there / "written.toml")
+        assert solved(again).transmission_error == pytest.approx(solved(pair).transmission_error, rel=1e-12)
+    write_pair(pair, "inside/written.toml")
+    assert read_pair("inside/written.toml") == pair
+    assert 'matrix = "../crank.csv"' in (folder / "inside" / "written.toml").read_text()
 
 
 def test_a_desk_reads_file_names_beside_its_pair(folder, monkeypatch, tmp_path):
