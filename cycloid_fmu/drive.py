@@ -614,7 +614,8 @@ class Drive(DriveValue):
         errors
             Names of errors: kinds with one value, waves such as `pin_radial_1_cos`, orders such as
             `profile_deviation_1`; by default the kinds with one value and the orders 1 to 3. With supports also
-            bearings: `turning_arm_stiffness` (by its logarithm, rad), `turning_arm_clearance` (rad/m) and so on.
+            bearings: `turning_arm_stiffness` (by its logarithm, rad), `turning_arm_clearance` (rad/m) and so on, and of
+            each elastic body the stiffness: `disc_stiffness` (by its logarithm, rad) and so on.
         crank_angle, angles
             As for `analyze`.
 
@@ -641,11 +642,11 @@ class Drive(DriveValue):
         import xarray as xr
 
         from cycloid_fmu.analysis import error_sensitivity
-        from cycloid_fmu.supports.transmission import LAWS
+        from cycloid_fmu.supports.transmission import parameters_of
 
         if crank_angle is None:
             crank_angle = _crank_angles(angles)
-        known = names_of(self.pair) + (list(LAWS) if self.pair.supports is not None else [])
+        known = [*names_of(self.pair), *parameters_of(self.pair)]
         names = list(errors) if errors is not None else known
         for name in names:
             if name not in known and kind_of(name) is None and profile_wave(name, 1) is None:

@@ -12,7 +12,7 @@ from cycloid_fmu.contact.transmission import Options, Sensitivity, Transmission,
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.reducer import behind_first_stage
 from cycloid_fmu.supports import transmission as stage
-from cycloid_fmu.supports.transmission import LAWS
+from cycloid_fmu.supports.transmission import parameters_of
 from cycloid_fmu.surfaces.structured import displacement_columns, profile_wave
 
 Array = NDArray[np.float64]
@@ -113,7 +113,7 @@ def error_sensitivity(
     drive, torque, crank_angle, slices
         As for `sensitivity`; behind a first stage one torque.
     names
-        Structured errors, orders of the profile deviation among them, and bearing stiffnesses and clearances of `LAWS`.
+        Structured errors, orders of the profile deviation among them, and those of `parameters_of`.
 
     Returns
     -------
@@ -135,9 +135,10 @@ def error_sensitivity(
     if profiles and drive.pair.supports is not None:
         raise edge.ArgumentError("errors", "no derivative by the flank profile is available with supports", profiles[0])
     found = sensitivity(drive, torque, crank_angle, slices)
-    errors = [name for name in names if name not in LAWS]
+    parameters = parameters_of(drive.pair)
+    errors = [name for name in names if name not in parameters]
     columns = dict(zip(errors, (found.by_displacement @ displacement_columns(drive.pair, errors)).T, strict=True))
-    columns |= {name: found.by_bearing[:, LAWS.index(name)] for name in names if name in LAWS}
+    columns |= {name: found.by_bearing[:, parameters.index(name)] for name in names if name in parameters}
     if profiles:
         by_form = form_sensitivity(drive, found.transmission_error, crank_angle, profiles, slices)
         columns |= dict(zip(profiles, by_form.T, strict=True))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import io
 import json
@@ -130,12 +131,15 @@ def matrices_of(
         discs without a matrix need.
     """
     check_bodies(pair, bodies, source)
+    others: dict[str, Array | None] = {
+        "carrier": None if bodies.carrier is None else _carrier(pair, bodies.carrier),
+        "ring": None if bodies.ring is None else _ring(pair, bodies.ring),
+        **{name: _beam(pair, bodies, name, source) for name in ("pin", "crank", "output_pin")},
+    }
     return BodyMatrices(
         discs=_discs(pair, bodies.disc, source, total, progress) if bodies.disc is not None else (),
-        carrier=None if bodies.carrier is None else _carrier(pair, bodies.carrier),
         columns=_columns(bodies.carrier),
-        ring=None if bodies.ring is None else _ring(pair, bodies.ring),
-        **{name: _beam(pair, bodies, name, source) for name in ("pin", "crank", "output_pin")},
+        **{n: None if m is None else m * getattr(bodies, n).compliance_factor for n, m in others.items()},
     )
 
 
@@ -177,7 +181,7 @@ def _discs(
     from cycloid_fmu.bodies.disc import influence_of, loads_of
 
     if body.matrix is not None:
-        given = [read_influence(path, _half_width(pair)) for path in body.matrices]
+        given = [_scaled(body, read_influence(path, _half_width(pair))) for path in body.matrices]
         return tuple(influence_of(pair, j, m, p) for j, (m, p) in enumerate(zip(given, body.matrices, strict=True)))
     total(loads_of(pair) * pair.discs)
     influences = []
@@ -193,8 +197,12 @@ def _discs(
             )
         except edge.InputError as problem:
             raise edge.InputError(f"{source}: [bodies.disc]: {problem}") from None
-        influences.append(influence_of(pair, disc, matrix, "the disc"))
+        influences.append(influence_of(pair, disc, _scaled(body, matrix), "the disc"))
     return tuple(influences)
+
+
+def _scaled(body: DiscBody, matrix: PortMatrix) -> PortMatrix:
+    return dataclasses.replace(matrix, compliance=matrix.compliance * body.compliance_factor)
 
 
 def _condense(pair: Pair, body: DiscBody, disc: int, progress: Callable[[int], None]) -> PortMatrix:
@@ -226,7 +234,7 @@ def _disc_text(pair: Pair, body: DiscBody) -> str:
         ],
         "supports": [supports.kind, supports.count, supports.circle_radius, supports.first_angle],
         "material": material_of(body, pair.material.gear).model_dump(),
-        "body": body.model_dump(exclude={"youngs_modulus", "poissons_ratio", "matrix"}),
+        "body": body.model_dump(exclude={*ElasticBody.model_fields}),
         "files": [Path(w.dxf).read_bytes().hex() for w in body.windows if w.dxf is not None],
     }
     return json.dumps(drawn, sort_keys=True)
@@ -286,7 +294,8 @@ def _given(path: str, kind: str, count: int, components: int, pair: Pair) -> Arr
 def _columns(body: CarrierBody | None) -> dict[str, float]:
     if body is None or body.matrix is not None:
         return {}
-    return dict(zip(("translation", "rotation"), carrier_compliance(body), strict=True))
+    compliance = (each * body.compliance_factor for each in carrier_compliance(body))
+    return dict(zip(("translation", "rotation"), compliance, strict=True))
 
 
 def _carrier(pair: Pair, body: CarrierBody) -> Array:

@@ -501,7 +501,8 @@ class Sensitivity:
     by_crank_angle, by_torque
         Derivatives by crank angle (dimensionless) and torque (rad/(N·m)), shape (angles,).
     by_bearing
-        Derivative by the parameters of the bearings, shape (angles, parameters); none on rigid bearings.
+        Derivative by the parameters of bearings and elastic bodies (`cycloid_fmu.supports.transmission.parameters_of`),
+        shape (angles, parameters); none on rigid bearings.
     """
 
     transmission_error: Array

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import os
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -30,6 +31,7 @@ PositivePressure = Annotated[edge.Pressure, pydantic.AfterValidator(_positive)]
 Coordinate = Annotated[Length, pydantic.AfterValidator(_near)]
 SpanLength = sizes.Width
 MOST_WINDOWS = 120
+LEAST_FACTOR, LARGEST_FACTOR = 1e-3, 1e3
 _WINDOW_KEYS = {
     "fan": ("inner_radius", "outer_radius", "half_angle", "corner_radius"),
     "round": ("circle_radius", "radius"),
@@ -49,11 +51,23 @@ class ElasticBody(Config):
         Poisson's ratio; by default that of the same material, and 0.3 for the others.
     matrix
         File of the body's influence matrix, `cycloid-influence/1` (netCDF, or CSV); None to compute it.
+    stiffness_factor
+        Factor on the stiffness by its dimensions or its matrix, as an identification finds it; None for 1.
+    stiffness_uncertainty
+        Standard deviation of the logarithm of that factor, about the relative one of the stiffness: an identification
+        then fits the stiffness. None if it is as stated.
     """
 
     youngs_modulus: PositivePressure | None = None
     poissons_ratio: float | None = pydantic.Field(default=None, ge=0.0, lt=0.5)
     matrix: str | None = None
+    stiffness_factor: float | None = pydantic.Field(default=None, ge=LEAST_FACTOR, le=LARGEST_FACTOR)
+    stiffness_uncertainty: float | None = pydantic.Field(default=None, gt=0.0, le=2.0)
+
+    @property
+    def compliance_factor(self) -> float:
+        """Factor on the influence by its dimensions or its matrix."""
+        return 1.0 if self.stiffness_factor is None else 1.0 / self.stiffness_factor
 
     def _check_stated(self, *keys: str) -> None:
         """Raise a `ValueError` that names the first of the dimensions that is missing without a matrix."""
@@ -394,17 +408,30 @@ class Bodies(Config):
             if isinstance(body := getattr(self, name), ElasticBody):
                 yield name, body
 
+    def with_factors(self, factors: Mapping[str, float | None]) -> Bodies:
+        """Return the bodies with other stiffness factors, by the bodies' keys."""
+        return self.replace(
+            **{name: getattr(self, name).replace(stiffness_factor=factor) for name, factor in factors.items()}
+        )
+
     def in_folder(self, folder: Path) -> Bodies:
-        """Return the bodies with the names of their files relative to a folder."""
+        """Return the bodies of a file in a folder with the names of their files as seen from the working folder."""
+        return self._with_files(lambda name: os.path.normpath(folder / name))
+
+    def seen_from(self, folder: Path) -> Bodies:
+        """Return the bodies with the names of their files, unless absolute, as seen from a folder: of `in_folder`."""
+        return self._with_files(lambda name: name if Path(name).is_absolute() else os.path.relpath(name, folder))
+
+    def _with_files(self, renamed: Callable[[str], str]) -> Bodies:
         changes: dict[str, Any] = {
-            name: body.replace(matrix=str(folder / body.matrix))
+            name: body.replace(matrix=renamed(body.matrix))
             for name, body in self.stated()
             if isinstance(body.matrix, str)
         }
         if self.disc is not None and len(self.disc.matrices) > 1:
-            changes["disc"] = self.disc.replace(matrix=tuple(str(folder / name) for name in self.disc.matrices))
+            changes["disc"] = self.disc.replace(matrix=tuple(map(renamed, self.disc.matrices)))
         if self.disc is not None and any(window.dxf for window in self.disc.windows):
-            windows = tuple(w.replace(dxf=str(folder / w.dxf)) if w.dxf else w for w in self.disc.windows)
+            windows = tuple(w.replace(dxf=renamed(w.dxf)) if w.dxf else w for w in self.disc.windows)
             changes["disc"] = self.disc.replace(windows=windows)
         return self.replace(**changes)
 

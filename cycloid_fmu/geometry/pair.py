@@ -715,6 +715,11 @@ def read_pair(path: str | os.PathLike[str]) -> Pair:
 
 
 def write_pair(pair: Pair, path: str | os.PathLike[str]) -> None:
-    """Write a pair file that `read_pair` reads as an equal pair; never a partial file."""
+    """Write a pair file that `read_pair` reads as an equal pair; never a partial file.
+
+    Names of files of elastic bodies are written as seen from its folder.
+    """
+    if pair.bodies is not None:
+        pair = pair.replace(bodies=pair.bodies.seen_from(Path(path).parent))
     with edge.written_whole(path) as temporary:
         temporary.write_text(pair.text, encoding="utf-8")

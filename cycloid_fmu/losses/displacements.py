@@ -30,7 +30,7 @@ from cycloid_fmu.losses.rubbing import (
 from cycloid_fmu.losses.sweeps import add_flank_coefficients, add_joint_coefficients
 from cycloid_fmu.supports.balance import Load, solve_transposed
 from cycloid_fmu.supports.bearing import CENTRING, by_clearance
-from cycloid_fmu.supports.elastic import pressing, pull_ports
+from cycloid_fmu.supports.elastic import pressing, pull_ports, write_by_bodies
 from cycloid_fmu.supports.joints import (
     FIRST_DISC,
     Assembly,
@@ -210,6 +210,7 @@ def sweep_motion_sensitivities(
         results.by_torque[i] = work.step[0]  # of λ, which is now in `step`
         by_drag[i] = rubbing.direction * work.step[0]
         turning = -pull_ports(assembly.elastic, work.ports, work.step)
+        write_by_bodies(assembly.elastic, work.ports, results.by_body[i])
         turning += add_mesh(problem, assembly, crank_angles[i], contacts, work, results.by_displacement[i])
         turning += _add_flanks(problem, assembly, crank_angles[i], contacts, work, rubbing, results.by_displacement[i])
         for k in range(work.residual.size):

@@ -17,11 +17,8 @@ from cycloid_fmu.losses.displacements import sweep_motion_sensitivities
 from cycloid_fmu.losses.rubbing import COEFFICIENTS
 from cycloid_fmu.losses.solver import Rubbed, laws_of, losses_of, rubbing_of, solve
 from cycloid_fmu.losses.sweeps import slope_of, sweep_rubbing_sensitivities
-from cycloid_fmu.supports.assembly import add_by_displacements
 from cycloid_fmu.supports.joints import work_of
-from cycloid_fmu.supports.sensitivity import PARAMETERS, Derivatives
-from cycloid_fmu.supports.transmission import assembly_of, problem_of
-from cycloid_fmu.surfaces.structured import displacement_size
+from cycloid_fmu.supports.transmission import assembly_of, no_derivatives, problem_of, sensitivity_of
 
 Array = NDArray[np.float64]
 _LINEAR = ("friction_coefficient", "static_friction_coefficient", "load_factor", "speed_factor")
@@ -178,9 +175,7 @@ def motion_sensitivity(
             f"torque = {torques[jammed]:g} N*m: the drive jams at a crank angle of {angles[jammed]:.6g} rad, where the "
             f"crank turns in direction {direction}; state less friction in [losses] or give a smaller torque."
         )
-    each = np.zeros((angles.size, displacement_size(pair)))
-    by_joint = np.zeros((angles.size, assembly.joints.size, len(PARAMETERS)))
-    by_angle, by_torque, by_drag = (np.zeros(angles.size) for _ in range(3))
+    derivatives, by_drag = no_derivatives(pair, assembly, angles.size), np.zeros(angles.size)
     by_law = np.zeros((angles.size, rubbing.laws.size, len(COEFFICIENTS)))
     solved = sweep_motion_sensitivities(
         problem_of(drive, slices),
@@ -189,7 +184,7 @@ def motion_sensitivity(
         torques,
         np.ascontiguousarray(coordinates),
         rubbing,
-        Derivatives(each, by_joint, by_angle, by_torque),
+        derivatives,
         by_law,
         by_drag,
         work_of(assembly),
@@ -198,6 +193,5 @@ def motion_sensitivity(
     )
     if not solved:
         raise edge.InputError(f"torque = {torques[0]:g} N*m: the balance is singular: the drive jams.")
-    by_bearing = add_by_displacements(pair, by_joint, each)
-    motion = Sensitivity(error, each, by_angle, by_torque, by_bearing)
+    motion = sensitivity_of(pair, error, derivatives)
     return MotionSensitivity(motion, _by_name(pair, losses, crank_speed, by_law, by_drag), rubbed.crank_torque[0])

@@ -697,6 +697,8 @@ def pull_ports(elastic: Elastic | None, ports: Any, by: Array) -> float:
         return 0.0
     for number in range(ports.ports.size):
         ports.ports[number].pull = 0.0
+    for slot in range(ports.pull_of_slots.size):
+        ports.pull_of_slots[slot] = 0.0
     n, right = ports.counts[0], ports.right
     for k in range(n):
         right[k] = dot(ports.by_coordinate[k], by) + dot(ports.rubbing[ports.active[k]], by)
@@ -706,8 +708,22 @@ def pull_ports(elastic: Elastic | None, ports: Any, by: Array) -> float:
     for k in range(n):
         port = ports.ports[ports.active[k]]
         port.pull = right[k]
+        ports.pull_of_slots[port.slot] += right[k]
         work += right[k] * ports.rates[port.slot]
     return work
+
+
+@compiled
+def write_by_bodies(elastic: Elastic | None, ports: Any, out: Array) -> None:
+    """Write the derivatives by the logarithm of each body's stiffness, -λ·∂r/∂p, after `pull_ports` along λ.
+
+    A stiffer body has less of its influence C_B, so its share in the work of the pull on C f falls.
+    """
+    if elastic is None:
+        return
+    write_shares(elastic.influence, ports.moving, ports.pull_of_slots, ports.of_slots, out)
+    for body in range(out.size):
+        out[body] = -out[body]
 
 
 @compiled
@@ -873,7 +889,7 @@ def share_compliance(
             share += 2.0 * pull * ports.right[k + 1] * port.across
         out[0 if port.kind == PIN else 1 + port.law] += share
     laws = assembly.laws.size
-    write_shares(elastic.influence, ports.moving, ports.of_slots, out[1 + laws :])
+    write_shares(elastic.influence, ports.moving, ports.of_slots, ports.of_slots, out[1 + laws :])
     for number in range(assembly.joints.size):
         if elastic.ports_of_joint[number] > 0:
             continue

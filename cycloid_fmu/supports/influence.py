@@ -647,30 +647,31 @@ def _rate_between(block: Array, moving: Moving, slot: int, slot2: int) -> float:
 
 
 @compiled
-def write_shares(influence: Influence, moving: Moving, force: Array, out: Array) -> None:
-    """Write fᵀC_B f of disc, pin, ring, crank, output pin and carrier, N·m; `force` as in `add_rates`."""
+def write_shares(influence: Influence, moving: Moving, force: Array, other_force: Array, out: Array) -> None:
+    """Write fᵀC_B g of disc, pin, ring, crank, output pin and carrier, N·m; `force` and the other as in `add_rates`."""
     for part in range(out.size):
         out[part] = 0.0
     first, last, whole = influence.arms_slot, influence.rollers_slot, 0.0
     for i in range(moving.known_count[0]):
         slot = moving.known[i]
-        if force[slot] == 0.0:
+        if force[slot] == 0.0 and other_force[slot] == 0.0:
             continue
         row = moving.matrix[slot]
         for k in range(moving.known_count[0]):
             other = moving.known[k]
-            product = force[slot] * force[other]
+            product = force[slot] * other_force[other]
             if product != 0.0:
                 of_pin, of_ring, of_output_pin = parts_of_others(influence, moving, slot, other, moving.angle[0], False)
                 whole += product * row[other]
                 out[1], out[2] = out[1] + product * of_pin, out[2] + product * of_ring
                 out[4] += product * of_output_pin
-        whole += 2.0 * force[slot] * dot(row[first:last], force[first:last])
+        whole += force[slot] * dot(row[first:last], other_force[first:last])
+        whole += other_force[slot] * dot(row[first:last], force[first:last])
     for slot in range(first, last):
         if force[slot] != 0.0:
-            whole += force[slot] * dot(influence.fixed[slot, first:last], force[first:last])
+            whole += force[slot] * dot(influence.fixed[slot, first:last], other_force[first:last])
             if influence.of_arms.size > 0:
-                out[3] += force[slot] * dot(influence.of_arms[slot - first], force[first:last])
+                out[3] += force[slot] * dot(influence.of_arms[slot - first], other_force[first:last])
     for slot in range(len(influence.fixed) - 2 * influence.arms, len(influence.fixed)):
-        out[5] += force[slot] * dot(influence.fixed[slot], force)
+        out[5] += force[slot] * dot(influence.fixed[slot], other_force)
     out[0] = whole - out[1] - out[2] - out[3] - out[4]

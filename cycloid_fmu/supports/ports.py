@@ -98,6 +98,8 @@ class Ports(NamedTuple):
         Right side, and the forces of ports under load, shape (ports,).
     of_slots, rates
         Forces of all slots, and dC/dθ f there, shape (slots,).
+    pull_of_slots
+        Changes of the forces of all slots that `pull_ports` wrote, shape (slots,).
     rubbing, by_crank
         Change of the balance and of the crank's torque with each port's force by what friction and the crank take of
         it, shapes (ports, unknowns) and (ports,): zero without friction (`add_rubbing`).
@@ -126,6 +128,7 @@ class Ports(NamedTuple):
     forces: Array
     of_slots: Array
     rates: Array
+    pull_of_slots: Array
     rubbing: Array
     by_crank: Array
     of_joints: Array
@@ -156,6 +159,7 @@ def ports_of(elastic: Elastic, unknowns: int) -> Ports:
         forces=np.zeros(count),
         of_slots=np.zeros(slots),
         rates=np.zeros(slots),
+        pull_of_slots=np.zeros(slots),
         rubbing=np.zeros((count, unknowns)),
         by_crank=np.zeros(count),
         of_joints=np.zeros((elastic.first.size, 2)),

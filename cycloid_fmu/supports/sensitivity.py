@@ -17,7 +17,7 @@ from cycloid_fmu.contact.local_frame import crank_motion, gap_gradient, projecti
 from cycloid_fmu.contact.sensitivity import add_by_pins_and_flanks
 from cycloid_fmu.supports.balance import Load, assemble, solve_transposed
 from cycloid_fmu.supports.bearing import CENTRING, by_clearance
-from cycloid_fmu.supports.elastic import Pull, closing_of, pull_of, pull_ports
+from cycloid_fmu.supports.elastic import Pull, closing_of, pull_of, pull_ports, write_by_bodies
 from cycloid_fmu.supports.joints import (
     FIRST_DISC,
     Assembly,
@@ -64,12 +64,15 @@ class Derivatives(NamedTuple):
         By the `PARAMETERS` of each joint, shape (angles, joints, parameters), rad/m, rad/rad and, for stiffness, rad.
     by_angle, by_torque
         By crank angle (dimensionless) and torque (rad/(N·m)), shape (angles,).
+    by_body
+        By the logarithm of the stiffness of each of `transmission.BODIES`, shape (angles, bodies), rad.
     """
 
     by_displacement: Array
     by_joint: Array
     by_angle: Array
     by_torque: Array
+    by_body: Array
 
 
 @compiled
@@ -194,6 +197,7 @@ def sweep_supported_sensitivities(
             return False
         results.by_torque[i] = work.step[0]  # of λ, which is now in `step`
         turning = -pull_ports(assembly.elastic, work.ports, work.step)
+        write_by_bodies(assembly.elastic, work.ports, results.by_body[i])
         turning += add_mesh(problem, assembly, crank_angles[i], contacts, work, results.by_displacement[i])
         for k in range(work.residual.size):
             work.residual[k] = 0.0

@@ -102,7 +102,8 @@ class OnBearings(Transmission):
     compliance: Array
 
 
-PARTS = ("mesh", *LAW_NAMES, "disc", "pin", "ring", "crank", "output_pin", "carrier")
+BODIES = ("disc", "pin", "ring", "crank", "output_pin", "carrier")
+PARTS = ("mesh", *LAW_NAMES, *BODIES)
 """Parts of the compliance of a drive with elastic bodies: laws of contacts and bearings, then bodies."""
 
 
@@ -335,6 +336,33 @@ LAWS = tuple(f"{law}_{what}" for law in LAW_NAMES for what in ("stiffness", "cle
 """Columns of the sensitivity to bearings: to the logarithm of a stiffness (rad), to a clearance (rad/m)."""
 
 
+def parameters_of(pair: Pair) -> tuple[str, ...]:
+    """Return what the columns of `Sensitivity.by_bearing` are by: `LAWS`, and each body's stiffness as a logarithm."""
+    if pair.supports is None:
+        return ()
+    stated = () if pair.bodies is None else pair.bodies.stated()
+    return (*LAWS, *(f"{name}_stiffness" for name, _ in stated))
+
+
+def no_derivatives(pair: Pair, assembly: Assembly, angles: int) -> Derivatives:
+    """Return zeros for the derivatives at a number of crank angles."""
+    return Derivatives(
+        by_displacement=np.zeros((angles, displacement_size(pair))),
+        by_joint=np.zeros((angles, assembly.joints.size, len(PARAMETERS))),
+        by_angle=np.zeros(angles),
+        by_torque=np.zeros(angles),
+        by_body=np.zeros((angles, len(BODIES))),
+    )
+
+
+def sensitivity_of(pair: Pair, transmission_error: Array, by: Derivatives) -> Sensitivity:
+    """Return the sensitivity by displacements and by `parameters_of` from the kernel's derivatives."""
+    laws = add_by_displacements(pair, by.by_joint, by.by_displacement)
+    stated = [] if pair.bodies is None else [BODIES.index(name) for name, _ in pair.bodies.stated()]
+    by_bearing = np.hstack([laws, by.by_body[:, stated]])
+    return Sensitivity(transmission_error, by.by_displacement, by.by_angle, by.by_torque, by_bearing)
+
+
 def sensitivity(drive: DriveValue, torque: Array, crank_angle: Array, slices: int) -> Sensitivity:
     """Return transmission error and derivatives of a drive on rigid or stated bearings.
 
@@ -346,18 +374,15 @@ def sensitivity(drive: DriveValue, torque: Array, crank_angle: Array, slices: in
     solutions = empty(pair, 1, angles.size)
     _solve(drive, at_angles[None], angles, solutions, Options(slices))
     assembly = assembly_of(drive)
-    by_displacement = np.zeros((angles.size, displacement_size(pair)))
-    by_joint = np.zeros((*solutions.force.shape[1:], len(PARAMETERS)))
-    by_angle, by_torque = (np.zeros(angles.size) for _ in range(2))
+    derivatives = no_derivatives(pair, assembly, angles.size)
     if not sweep_supported_sensitivities(
         problem_of(drive, slices),
         assembly,
         angles,
         at_angles,
         solutions.coordinates[0],
-        Derivatives(by_displacement, by_joint, by_angle, by_torque),
+        derivatives,
         work_of(assembly),
     ):
         raise _unbalanced(float(at_angles[0]), angles[0])
-    laws = add_by_displacements(pair, by_joint, by_displacement)
-    return Sensitivity(solutions.coordinates[0, :, 0].copy(), by_displacement, by_angle, by_torque, laws)
+    return sensitivity_of(pair, solutions.coordinates[0, :, 0].copy(), derivatives)

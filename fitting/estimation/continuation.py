@@ -19,6 +19,7 @@ from threadpoolctl import threadpool_limits
 
 from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
+from cycloid_fmu.geometry.bodies import Bodies
 from cycloid_fmu.geometry.pair import Pair, parse_pair
 from cycloid_fmu.surfaces.structured import profile_wave, with_structured
 from cycloid_fmu.surfaces.surface import surface_of_pair
@@ -174,11 +175,17 @@ _NO_POSTERIOR = (
 
 
 def _is_of(fitted: Pair, nominal: Pair) -> bool:
-    """Whether a fitted pair is a nominal one, except for its bearings."""
-    if (fitted.supports is None) != (nominal.supports is None) or fitted.bodies != nominal.bodies:
+    """Whether a fitted pair is a nominal one, except for its bearings and the stiffness of its bodies."""
+    if (fitted.supports is None) != (nominal.supports is None) or _by_dimensions(fitted) != _by_dimensions(nominal):
         return False
     bare, of_nominal = (pair.nominal.replace(supports=None, bodies=None).text for pair in (fitted, nominal))
     return bool(bare == of_nominal)
+
+
+def _by_dimensions(pair: Pair) -> Bodies | None:
+    """Return a pair's elastic bodies without factors on their stiffness."""
+    bodies = pair.bodies
+    return bodies and bodies.with_factors({name: None for name, _ in bodies.stated()})
 
 
 def read_posterior(path: str | os.PathLike[str], drive: Drive) -> Posterior:

@@ -1,13 +1,15 @@
-"""Unknowns of the stated bearings in a fit, stiffness and clearance of each, and of the friction of a drive on them."""
+"""Unknowns of the stated bearings in a fit, stiffness and clearance of each, of elastic bodies, and of friction."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cycloid_fmu.geometry.bodies import LARGEST_FACTOR, LEAST_FACTOR, Bodies
 from cycloid_fmu.geometry.first_stage import FirstStage
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.geometry.supports import Bearing, OutputRoller
@@ -30,19 +32,27 @@ PLAY = "first_stage_play"
 def unknown_bearings(pair: Pair, first_stage: FirstStage | None = None) -> tuple[str, ...]:
     """Return the unknowns of the bearings: stiffness and clearance of each compliant one, by the names of `LAWS`.
 
-    Friction coefficients that are known within a range follow (`fitting.model.losses.unknown_coefficients`), and behind
-    a first stage the free rotation of its cranks comes last.
+    Where the file states the uncertainty of an elastic body's stiffness, this follows (`disc_stiffness`), then friction
+    coefficients that are known within a range (`fitting.model.losses.unknown_coefficients`), and behind a first stage
+    the free rotation of its cranks comes last.
     """
-    found: list[str] = []
+    names: list[str] = []
     for name in _BEARINGS:
         one = getattr(pair.supports, name, None)
         if one is None or (isinstance(one, Bearing) and one.is_rigid) or getattr(one, "rigid", False):
             continue
         if isinstance(one, OutputRoller) and one.stiffness is None:
             continue
-        found += [f"{name}_stiffness", f"{name}_clearance"]
-    found += unknown_coefficients(pair)
-    return (*found, PLAY) if first_stage is not None else tuple(found)
+        names += [f"{name}_stiffness", f"{name}_clearance"]
+    names += [f"{name}_stiffness" for name in _sizes_of_bodies(pair)]
+    names += unknown_coefficients(pair)
+    return (*names, PLAY) if first_stage is not None else tuple(names)
+
+
+def _sizes_of_bodies(pair: Pair) -> dict[str, float]:
+    """Return the prior standard deviation of the logarithm of each unknown stiffness of an elastic body, by its key."""
+    stated = () if pair.bodies is None else pair.bodies.stated()
+    return {name: size for name, body in stated if (size := body.stiffness_uncertainty) is not None}
 
 
 def sizes_of(pair: Pair, first_stage: FirstStage | None = None) -> Array:
@@ -51,7 +61,9 @@ def sizes_of(pair: Pair, first_stage: FirstStage | None = None) -> Array:
     if first_stage is not None:
         sizes["play"] += 0.5 * first_stage.crank_play
     names = unknown_bearings(pair, first_stage)
-    return np.array([size_of(pair, n) if is_coefficient(n) else sizes[n.rpartition("_")[2]] for n in names])
+    of_bodies = {f"{body}_stiffness": size for body, size in _sizes_of_bodies(pair).items()}
+    usual = {n: of_bodies.get(n, sizes.get(n.rpartition("_")[2])) for n in names}
+    return np.array([size_of(pair, n) if is_coefficient(n) else usual[n] for n in names], float)
 
 
 def unit_of_bearing(name: str) -> str:
@@ -88,7 +100,7 @@ def lowest_of(pair: Pair, first_stage: FirstStage | None = None) -> Array:
 
 
 def pair_with(pair: Pair, changes: Array, *, rounded: bool = False) -> Pair:
-    """Return a pair with changed bearings and friction.
+    """Return a pair with changed bearings, elastic bodies and friction.
 
     Parameters
     ----------
@@ -97,7 +109,7 @@ def pair_with(pair: Pair, changes: Array, *, rounded: bool = False) -> Pair:
     changes
         In the order of `unknown_bearings`: logarithm of a stiffness over the stated one, increase of a clearance (m),
         logarithm of a friction coefficient over the stated one; the play of a first stage may follow. If empty, the
-        pair is unchanged. A clearance stays within the limits of a pair file.
+        pair is unchanged. A clearance and a body's factor stay within the limits of a pair file.
     rounded
         Whether changed values are those that a file should state: lengths in whole nanometres, stiffnesses with six
         digits.
@@ -107,12 +119,15 @@ def pair_with(pair: Pair, changes: Array, *, rounded: bool = False) -> Pair:
         return pair
     assert pair.supports is not None
     given: dict[str, dict[str, Any]] = {}
-    friction = dict[str, float]()
+    friction, of_bodies, bodies = dict[str, float](), dict[str, float](), _sizes_of_bodies(pair)
     for name, change in zip(names, changes.tolist(), strict=False):
         if is_coefficient(name):
             friction[name] = change
             continue
         bearing, _, what = name.rpartition("_")
+        if bearing in bodies:
+            of_bodies[bearing] = change
+            continue
         one = getattr(pair.supports, bearing)
         if what == "clearance":
             value = {"clearance": min(max(one.clearance + change, 0.0), pair.supports.largest_clearance)}
@@ -125,6 +140,19 @@ def pair_with(pair: Pair, changes: Array, *, rounded: bool = False) -> Pair:
         given.setdefault(bearing, {}).update(value)
     changed = {name: getattr(pair.supports, name).model_copy(update=values) for name, values in given.items()}
     supports = pair.supports.model_copy(update=changed)
-    if pair.losses is None or not friction:
-        return pair.replace(supports=supports)
-    return pair.replace(supports=supports, losses=losses_with(pair.losses, friction, rounded=rounded))
+    replaced: dict[str, Any] = {"supports": supports}
+    if pair.bodies is not None and of_bodies:
+        replaced["bodies"] = _bodies_with(pair.bodies, of_bodies, rounded=rounded)
+    if pair.losses is not None and friction:
+        replaced["losses"] = losses_with(pair.losses, friction, rounded=rounded)
+    return pair.replace(**replaced)
+
+
+def _bodies_with(bodies: Bodies, changes: Mapping[str, float], *, rounded: bool) -> Bodies:
+    """Return elastic bodies whose stiffness is changed, by the logarithm of each; `rounded` factors have six digits."""
+    factors = dict[str, float | None]()
+    for name, change in changes.items():
+        factor = math.exp(change) / getattr(bodies, name).compliance_factor
+        factor = min(max(factor, LEAST_FACTOR), LARGEST_FACTOR)
+        factors[name] = float(f"{factor:.6g}") if rounded else factor
+    return bodies.with_factors(factors)

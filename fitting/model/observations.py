@@ -23,7 +23,7 @@ from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.errors.kinds import KINDS, kinds_of, structured_names
 from cycloid_fmu.geometry.first_stage import FirstStage
 from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.supports.transmission import LAWS
+from cycloid_fmu.supports.transmission import parameters_of
 from cycloid_fmu.surfaces.posterior import DISC_PHASE
 from cycloid_fmu.surfaces.structured import (
     displacement_columns,
@@ -130,8 +130,8 @@ class Observations:
     ripple
         Torque at each point beyond the stated one, as a share of it, shape (points,).
     bearing_names, bearing_prior, bearing_lowest
-        Unknowns of the drive's own bearings, friction and first stage, their prior deviations, and their largest
-        decreases, as in `fitting.model.bearings`.
+        Unknowns of the drive's own bearings, elastic bodies, friction and first stage, their prior deviations, and
+        their largest decreases, as in `fitting.model.bearings`.
     first_stage
         First stage, for curves of a whole reducer.
     chain_prior
@@ -453,9 +453,9 @@ class State:
         The friction torques of curves and of loops without load (N·m), and the growth of the latter with the load at
         the flanks: F = F_0 + mu |M|.
     bearings
-        Deviations of each bearing's stiffness and clearance and of friction coefficients from the pair file, in the
-        order of `Observations.bearing_names`: logarithms of stiffness and coefficients, m, and rad of a first stage's
-        play; none where nothing of them is unknown.
+        Deviations of stiffness and clearance of bearings, stiffness of bodies and friction coefficients from the pair
+        file, in the order of `Observations.bearing_names`: logarithms of stiffness and coefficients, m, and rad of a
+        first stage's play; none where nothing of them is unknown.
     """
 
     surface: ErrorSurface
@@ -637,7 +637,8 @@ def linearised_curve(
             found.by_torque,
         )
         if pair.supports is not None:
-            by_law = found.by_bearing[:, [LAWS.index(n) for n in observed.bearing_names if n in LAWS]]
+            laws = parameters_of(pair)
+            by_law = found.by_bearing[:, [laws.index(n) for n in observed.bearing_names if n in laws]]
             by_bearing = np.hstack([by_law, by_friction_of_drive])
     else:
         model, each, by_torque = around[number].sensitivities(displacement_vector(pair, surface), torque)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.supports.transmission import LAWS
 from cycloid_fmu.surfaces.structured import profile_names
 from fitting.model.bearings import PLAY
 from fitting.model.observations import PIN_RADIUS, PROFILE_ORDERS, scatter_names
@@ -60,10 +61,11 @@ def bearing_drift(names: Sequence[str], crank_turns: float, drift: float) -> Arr
     """Return the drift of bearings over a number of crank turns, standard deviations, SI; 0 for all other names.
 
     A clearance drifts like the uniform wear, the play of a first stage by this wear over a pinion's radius, rad.
+    Elastic bodies do not drift.
     """
     walked = drift * np.sqrt(crank_turns / REFERENCE_TURNS)
-    sizes = {"clearance": 1.0, "stiffness": _STIFFNESS, PLAY.rpartition("_")[2]: 1.0 / _FLANK}
-    sized: Array = walked * np.array([sizes.get(name.rpartition("_")[2], 0.0) for name in names])
+    sizes = {PLAY: 1.0 / _FLANK, **{law: _STIFFNESS if law.endswith("_stiffness") else 1.0 for law in LAWS}}
+    sized: Array = walked * np.array([sizes.get(name, 0.0) for name in names])
     return sized
 
 

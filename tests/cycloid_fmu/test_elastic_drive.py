@@ -1,6 +1,7 @@
 """A drive with elastic bodies: an independent solver, limits that must hold, and what refuses bodies."""
 
 import json
+import math
 
 import elastic_equilibrium
 import numpy as np
@@ -12,7 +13,7 @@ from cycloid_fmu.analysis import sensitivity, solve
 from cycloid_fmu.bodies.matrices import BodyMatrices, matrices_of
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.pair import parse_pair
-from cycloid_fmu.supports.transmission import LAWS, PARTS
+from cycloid_fmu.supports.transmission import LAWS, PARTS, parameters_of
 from cycloid_fmu.surfaces.structured import displacement_layout
 
 STIFF = {"stiffness": "200 N/um"}
@@ -226,6 +227,40 @@ def test_sensitivities_are_differences(pair):
             ]
             column = found.by_bearing[:, LAWS.index(f"{name}_{key}")]
             assert (ends[0] - ends[1]) / (2.0 * size) == pytest.approx(column, rel=2e-3, abs=1e-9), f"{name} {key}"
+
+
+@pytest.mark.parametrize("pair", [ELASTIC, SOFT_CRANKS], ids=["output_rollers", "cranks"])
+def test_sensitivities_to_the_stiffness_of_bodies_are_differences(pair):
+    """And the stiffer a body, the less the output gives way."""
+    found, step = sensitivity(DriveValue.as_stated(pair), 20.0, ANGLES), 1e-3
+    for name, _ in pair.bodies.stated():
+        ends = [deviation(pair.replace(bodies=pair.bodies.with_factors({name: math.exp(d)}))) for d in (step, -step)]
+        column = found.by_bearing[:, parameters_of(pair).index(f"{name}_stiffness")]
+        assert (ends[0] - ends[1]) / (2.0 * step) == pytest.approx(column, rel=1e-3), name
+        assert (column < 0.0).all()
+
+
+@pytest.mark.parametrize(
+    ("pair", "name"),
+    [
+        *((ELASTIC, name) for name in ("pin", "output_pin", "ring")),
+        *((SOFT_CRANKS, name) for name in ("crank", "carrier")),
+        pytest.param(ELASTIC, "disc", marks=pytest.mark.slow(4)),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_a_factor_is_another_modulus(pair, name):
+    """A body's influence goes with one over its modulus, also that of finite elements."""
+    body = getattr(pair.bodies, name)
+    stiffer = body.replace(youngs_modulus=1.7 * 206e9 if body.youngs_modulus is None else 1.7 * body.youngs_modulus)
+    found, expected, before = (
+        cy.Drive(pair).influence(bodies=bodies)[name]
+        for bodies in (pair.bodies.with_factors({name: 1.7}), pair.bodies.replace(**{name: stiffer}), pair.bodies)
+    )
+    if isinstance(found, dict):
+        found, expected, before = (each["compliance"] for each in (found, expected, before))
+    assert found == pytest.approx(expected, rel=1e-9)
+    assert found == pytest.approx(before / 1.7, rel=1e-12)
 
 
 # --- files, and what refuses bodies ---

@@ -12,10 +12,12 @@ from cycloid_fmu.bodies.matrices import matrices_of
 from cycloid_fmu.desk.view import look, open_desk
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.losses import PARTS
+from cycloid_fmu.geometry.pair import read_pair, write_pair
 from cycloid_fmu.losses.heat import Running, at_oil_temperature, heat
 from cycloid_fmu.losses.sensitivity import motion_sensitivity, sensitivity
 from cycloid_fmu.losses.solver import solve as rub
 from cycloid_fmu.supports.figures import remaining
+from cycloid_fmu.supports.transmission import parameters_of
 from cycloid_fmu.surfaces.structured import displacement_layout
 
 SPEED = 10.0
@@ -117,6 +119,19 @@ def test_derivatives_with_friction_are_differences(name):
             assert differs(derivative, with_coefficient, step) < 1e-3, key
 
 
+@pytest.mark.parametrize("name", RUBBING)
+def test_derivatives_with_friction_by_the_stiffness_of_bodies_are_differences(name):
+    pair, step = RUBBING[name], 1e-3
+    found = motion_sensitivity(DriveValue.as_stated(pair), 20.0, ANGLES, 1, SPEED).motion.by_bearing
+    for body, _ in pair.bodies.stated():
+        high, low = (
+            rubbed(pair.replace(bodies=pair.bodies.with_factors({body: np.exp(way * step)}))).motion.transmission_error
+            for way in (1.0, -1.0)
+        )
+        column = found[:, parameters_of(pair).index(f"{body}_stiffness")]
+        assert (high - low)[0] / (2.0 * step) == pytest.approx(column, rel=2e-3), body
+
+
 def test_a_warm_drive_gives_off_the_heat_of_its_elastic_bodies():
     """At the steady temperature P = (T - T_0)/R, with the losses solved there once more; they are not rigid bodies'."""
     pair = RUBBING["output_rollers"].replace(thermal={"resistance": "0.9 K/W", "ambient": "20 degC"})
@@ -156,6 +171,19 @@ def test_file_names_are_relative_to_the_file_that_states_them(folder, name, monk
     drive = cy.read_drive(folder / name)
     found = solve(drive.stage, [20.0], ANGLES, with_play=False)
     assert found.transmission_error == pytest.approx(solved(SOFT_CRANKS).transmission_error, rel=1e-9)
+
+
+def test_a_pair_in_another_folder_states_the_files_as_seen_from_there(folder, monkeypatch, tmp_path):
+    monkeypatch.chdir(folder)
+    pair = read_pair("pair.toml")
+    for there in (folder / "inside", tmp_path):
+        there.mkdir(exist_ok=True)
+        write_pair(pair, there / "written.toml")
+        again = read_pair(there / "written.toml")
+        assert solved(again).transmission_error == pytest.approx(solved(pair).transmission_error, rel=1e-12)
+    write_pair(pair, "inside/written.toml")
+    assert read_pair("inside/written.toml") == pair
+    assert 'matrix = "../crank.csv"' in (folder / "inside" / "written.toml").read_text()
 
 
 def test_a_desk_reads_file_names_beside_its_pair(folder, monkeypatch, tmp_path):

@@ -42,11 +42,10 @@ from cycloid_fmu.supports.sensitivity import (
     CLEARANCE,
     PARAMETERS,
     STIFFNESS,
-    Derivatives,
     sweep_supported_sensitivities,
 )
 from cycloid_fmu.supports.sweeps import sweep_supported
-from cycloid_fmu.supports.transmission import assembly_of, empty, problem_of
+from cycloid_fmu.supports.transmission import assembly_of, empty, no_derivatives, problem_of
 from cycloid_fmu.surfaces.structured import displacement_layout, displacements
 from cycloid_fmu.surfaces.surface import surface_of_pair
 
@@ -611,9 +610,8 @@ def test_a_new_kind_of_joint_is_one_definition(kind):
     assert force["balls"] == pytest.approx(4e10 * (length - 0.5e-6) ** 1.5, rel=1e-6)
     assert force["main"] == pytest.approx(1.2e9 * length, rel=1e-6)
 
-    each = np.zeros((3, max(place.stop for place in displacement_layout(pair).values())))
-    by_joint, by_angle, by_torque = np.zeros((3, assembly.joints.size, len(PARAMETERS))), *np.zeros((2, 3))
-    by = Derivatives(each, by_joint, by_angle, by_torque)
+    by = no_derivatives(pair, assembly, 3)
+    by_joint, by_angle, by_torque = by.by_joint, by.by_angle, by.by_torque
     work, torques = work_of(assembly), np.full(3, 150.0)
     assert sweep_supported_sensitivities(problem, assembly, angles, torques, found.coordinates, by, work)
 
