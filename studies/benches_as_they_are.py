@@ -43,6 +43,8 @@ class Effect:
     ring, crank
         By how much the ring shifts at 200 N·m, in the plane, and discs against the throw of their crank, in its frame:
         along it with the size of the load, ahead of it with its sign, m.
+    play
+        By how much the ring shifts with the side of the load, in the plane, m.
     chain
         Further compliance, rad/(N·m).
     ripple
@@ -66,6 +68,7 @@ class Effect:
     scatter: float = 0.3e-6
     ring: complex = 0.0
     crank: complex = 0.0
+    play: complex = 0.0
     chain: float = 0.0
     ripple: float = 0.0
     drift: float = 0.0
@@ -93,6 +96,7 @@ EFFECTS = {
     "two discs": Effect(discs=2),
     "two discs, 8 µm of phase between them": Effect(discs=2, phase=8e-6),
     "ring shifts 4 µm with the load": Effect(("support_give",), ring=4e-6 + 2e-6j),
+    "ring shifts 2 µm with the side of the load": Effect(("support_play",), play=2e-6 - 1e-6j),
     "crank bearing gives 3 µm radially, 8 µm tangentially at 250 N·m": Effect(
         ("support_give", "compliance"), crank=2.4e-6 - 6.4e-6j
     ),
@@ -190,7 +194,7 @@ def recorded(effect, made, load, generator, phases, each=24.37, turns=2):
         return np.sign(load) * (begin + speed * at + ripple * (effect.late != 0.0))
 
     seen, theta = crank(at), crank(at - effect.late)
-    moved = made.moved(axis=effect.ring * share, windup=effect.chain)
+    moved = made.moved(axis=effect.ring * share + effect.play * np.sign(load), windup=effect.chain)
     shift = effect.crank.real * abs(share) + 1j * effect.crank.imag * share
     torque = load * (1.0 + effect.ripple * np.cos(theta + phases[0]))
     error = second_drive.transmission_error(moved, theta, torque, shift)

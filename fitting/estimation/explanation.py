@@ -34,7 +34,7 @@ from fitting.estimation.validation import (
     likely_causes,
     verdict_of,
 )
-from fitting.model.discrepancy import GIVE, PLAY, RIPPLE, beside_the_gear, causes, given_way, ripple_of
+from fitting.model.discrepancy import GIVE, PLAY, RIPPLE, SHIFTS, beside_the_gear, causes, given_way, ripple_of
 from fitting.model.gaussian import Evidence
 from fitting.model.identifiability import chosen_of
 from fitting.model.observations import (
@@ -189,7 +189,7 @@ class Explanation(Search[Hypothesis, Explained]):
         of_cause = {n: end.observed.estimated.get(f"{MISFIT}_{n}") for n in (GIVE, PLAY, RIPPLE)}
         coefficients = {n: end.state.bench[part] for n, part in of_cause.items() if part is not None}
         shifting = coefficients.get(GIVE), coefficients.get(PLAY)
-        give = given_way(self.pair, end.observed, *shifting) if {GIVE, PLAY} & coefficients.keys() else None
+        give = given_way(self.pair, end.observed, *shifting) if {*SHIFTS} & coefficients.keys() else None
         ripple = ripple_of(end.observed, coefficients[RIPPLE]) if RIPPLE in coefficients else None
         before = hypothesis.misfit
         if _is_near(before.give, give, _SETTLED) and _is_near(before.ripple, ripple, _SETTLED_RIPPLE):

@@ -53,7 +53,7 @@ from fitting.model.bearings import (
     pair_with,
 )
 from fitting.model.constraints import Constraints, loaded
-from fitting.model.discrepancy import GIVE, PLAY
+from fitting.model.discrepancy import SHIFTS
 from fitting.model.first_stage import share_of, with_play
 from fitting.model.identifiability import weakness
 from fitting.model.loops import LoopFit, play_of
@@ -564,7 +564,7 @@ def _notes(pair: Pair, fit: Estimate, verdict: Verdict, run_out: Sequence[RunOut
             )
     if verdict.state == "not explained":
         notes.append("Is this the drive of the pair file, and are counts per turn and directions right?")
-    if pair.supports is None and any({GIVE, PLAY} & {m.cause, *m.alike} for m in verdict.misfits):
+    if pair.supports is None and any({*SHIFTS} & {m.cause, *m.alike} for m in verdict.misfits):
         notes.append(
             "Supports are compliant or have play: state the drive's bearings in the pair file ([supports]); then they "
             "are part of the model, and their stiffness and clearance are identified."

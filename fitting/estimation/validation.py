@@ -19,7 +19,7 @@ from cycloid_fmu.edge import ARCSEC
 from cycloid_fmu.surfaces.structured import structured_value
 from fitting.estimation.fit import Estimate
 from fitting.estimation.run_out import RunOut
-from fitting.model.discrepancy import BESIDE_THE_GEAR, FORM, RUN_OUT_CAUSE, SENTENCES, is_whole, waves, way
+from fitting.model.discrepancy import BESIDE_THE_GEAR, FORM, RUN_OUT_CAUSE, SENTENCES, SHIFTS, is_whole, waves, way
 from fitting.model.gaussian import Gaussian, truncated
 from fitting.model.observations import CHAIN, CREEP, MISFIT, Observations, with_scatter
 from fitting.transmission_error.spectrum import coefficients_of
@@ -430,8 +430,10 @@ def causes_of(
         }
         best = max(told, key=lambda n: gains[n])
         alike[best] = tuple(n for n in told if n != best and gains[n] > _ALIKE * gains[best])
-        found[best] = rest.pop(best)
-        residual.take(found[best])
+        for name in SHIFTS if best in SHIFTS else (best,):  # the sizes of both tell shifts with the load from play
+            if name in rest:
+                found[name] = rest.pop(name)
+                residual.take(found[name])
     return Likely(found, alike, known.orders if known else (), formed)
 
 

@@ -30,6 +30,7 @@ _FORM_STEP = 1e-6  # m: step of the differences with respect to a form
 _SLOW = 6  # degree of the drift of a zero over a recording
 _CRANK = 100.0  # rad of the crank per rad of the transmission error
 _STEADY = 1e-3  # relative change of the speed below which a lag has no effect
+SHIFTS = (GIVE, PLAY)  # causes that shift the supports
 BESIDE_THE_GEAR = ("compliance", RUN_OUT_CAUSE, "drift")  # causes that act outside the contacts
 SENTENCES = {
     GIVE: "supports that are compliant under load",

@@ -17,9 +17,10 @@ from fitting.reports.report import report
 # Of the first the fit once held seven errors, whose part the scatter and the centre distances took: 24 standard errors.
 # The second's supports seemed to give way, the third's zeros to creep.
 QUICK = {"none": 2, "flank form 1 µm": 0}
-# Where supports give way, undetected forms of the flanks looked like eccentricities of 5 standard errors; of the third a
-# form did, as supports that may have play took part of it.
+# Where supports give way, undetected forms of the flanks looked like eccentricities of 5 standard errors, and in the
+# third drive a form of 4.6 standard errors took the place of displacements.
 MIXTURE = [pytest.param("a realistic mixture", seed, marks=pytest.mark.slow(6)) for seed in (4, 15, 10)]
+PLAY = pytest.param("ring shifts 2 µm with the side of the load", 4, marks=pytest.mark.slow(6))
 SOFT_CHAIN = pytest.param("soft chain, 20″ at 200 N·m", 4, marks=pytest.mark.slow(6))
 
 
@@ -33,7 +34,7 @@ def floating(small):
     return identified("disc and cranks on bearings", small, 0, turns=1)[0]
 
 
-@pytest.mark.parametrize(("effect", "seed"), [*QUICK.items(), SOFT_CHAIN, *MIXTURE])
+@pytest.mark.parametrize(("effect", "seed"), [*QUICK.items(), SOFT_CHAIN, PLAY, *MIXTURE])
 def test_a_cause_is_named_and_the_intervals_allow_for_it(effect, seed):
     one = outcome(effect, seed)
     assert is_right(one)
