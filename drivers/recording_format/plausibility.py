@@ -78,13 +78,6 @@ class Steps:
             Mask of the samples whose step from the previous one is not judged: after a gap or reset, shape (n,).
         """
         held = self._time.size
-        if self._judged and self._speed is None and value.size > 3 and not broken.any():
-            steps = np.diff(value)
-            last = max(abs(float(value[0] - self._value[-1])), float(np.abs(np.diff(self._value)).max(initial=0.0)))
-            if max(last, float(steps.max()), -float(steps.min())) <= 0.5 * _JUMP:  # no two are a jump apart
-                self._time, self._value, self._broken = time[-3:], value[-3:], broken[-3:]
-                self._jumped, self._reported = None, False
-                return np.zeros(value.size, np.bool_), []
         t = np.concatenate([self._time, time])
         v = np.concatenate([self._value, value])
         cut = np.concatenate([self._broken, broken])

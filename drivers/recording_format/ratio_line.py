@@ -144,8 +144,6 @@ class Line:
             self._recount(float(given.driven[0] - line[0]))
         off = given.driven - line + self._turns
         before = None if gap else self._last
-        if before is not None and self._keeps(given, off, before):
-            return
         turned = np.diff(given.turning, prepend=given.turning[0] if before is None else before.turning) / self._ratio
         driven = np.diff(given.driven, prepend=given.driven[0] if before is None else before.driven)
         lasts = np.maximum(np.diff(time, prepend=time[0] if before is None else before.time), 1e-9)
@@ -221,40 +219,6 @@ class Line:
         part = slice(at, at + count)
         self._take(line[part], off[part], usual[part], low[:count], high[:count], travel[:count])
         return at + count
-
-    def _keeps(self, given: _Stretch, off: FloatArray, before: _Last) -> bool:
-        """Accept samples so close to the line that they cannot be at fault; False if they are not.
-
-        A sound bench delivers such samples for hours; this takes a fifth of the time of the full check.
-        """
-        if self._away is not None or before.judged or not (self._held and self._moved) or off.size < _SEEN:
-            return False
-        low, high = min(self._span[0], float(off.min())), max(self._span[1], float(off.max()))
-        if high - low > 0.5 * self._wide or given.turning_jumps.any() or given.driven_jumps.any():
-            return False
-        time, turning, driven = given.time, given.turning, given.driven
-        travel = (float(np.abs(np.diff(turning)).sum()) + abs(float(turning[0]) - before.turning)) / abs(self._ratio)
-        self._travel += travel
-        slack = self._stamps * travel / max(float(time[-1]) - before.time, 1e-9)
-        self._low = min(self._low, low - _FOLLOW * self._travel + slack)
-        self._high = max(self._high, high + _FOLLOW * self._travel - slack)
-        self._seen, self._span = self._seen + off.size, (low, high)
-        for index, (angle, last) in enumerate(((turning, before.turning), (driven, before.driven))):
-            changed = (
-                np.flatnonzero(angle[:-1] != angle[-1])[-1:] if angle[-1] == angle[-2] else np.array([off.size - 2])
-            )
-            if changed.size:
-                begun = int(changed[0]) + 1
-                self._runs[index], self._stood[index] = off.size - 1 - begun, (float(time[begun]), float(off[begun]))
-            elif last == angle[-1]:
-                self._runs[index] += off.size
-            else:
-                self._runs[index], self._stood[index] = off.size - 1, (float(time[0]), float(off[0]))
-        lasts = max(float(time[-1] - time[-2]), 1e-9)
-        rates = float(turning[-1] - turning[-2]) / self._ratio / lasts, float(driven[-1] - driven[-2]) / lasts
-        angles = float(turning[-1]), float(driven[-1])
-        self._last = _Last(float(time[-1]), *angles, float(off[-1]), float(off[-2]), *rates, lasts)
-        return True
 
     def _recount(self, off: float) -> None:
         """Correct the deviation for whole input turns missed in a gap."""
