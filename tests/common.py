@@ -51,21 +51,21 @@ def study_size(name, short, full):
     return int(float(os.environ.get(name, full if os.environ.get("CYCLOID_FULL") else short)))
 
 
-def drawn(short, full, seconds, **strategies):
-    """Draw the values of a property `short` times in the default set and, in `seconds`, `full` times in the slow one."""
+def draws(short, full, seconds, **strategies):
+    """Draw a property's values `short` times in the default set and, in `seconds`, `full` times in the slow one."""
 
     def decorate(check):
         fixtures = [name for name in inspect.signature(check).parameters if name not in strategies]
 
-        @pytest.mark.parametrize("draws", [short, pytest.param(full, marks=pytest.mark.slow(seconds))])
-        def test(draws, request):
+        @pytest.mark.parametrize("examples", [short, pytest.param(full, marks=pytest.mark.slow(seconds))])
+        def test(examples, request):
             values = {name: request.getfixturevalue(name) for name in fixtures}
 
             def drawn_once(**drawn):
                 check(**values, **drawn)
 
             drawn_once.__name__ = check.__name__
-            settings(max_examples=draws)(given(**strategies)(drawn_once))()
+            settings(max_examples=examples)(given(**strategies)(drawn_once))()
 
         test.__name__, test.__doc__ = check.__name__, check.__doc__
         return test

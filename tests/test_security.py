@@ -664,6 +664,7 @@ def fmu_with(folder, variables, structure=""):
 
 
 @tries(FMU)
+@pytest.mark.system
 def test_a_description_of_too_many_variables_is_refused(tmp_path, monkeypatch):
     """Six hundred thousand took 38 s and 2 GB; validation takes the square of the number of outputs."""
     one = '<ScalarVariable name="v{0}" valueReference="{0}" causality="output"><Real/></ScalarVariable>'

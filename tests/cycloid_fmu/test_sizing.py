@@ -159,6 +159,7 @@ def test_the_commented_bodies_are_those_of_the_wish_with_bodies(sized):
     )
 
 
+@pytest.mark.slow(6)
 def test_a_ring_without_pins_is_of_the_discs_material_and_has_no_friction_from_the_table():
     drive = size(Wish(**{**PRINTED, "ring": "conjugate", "torque": "3 N*m"}))
     assert drive.pair.material.pin == drive.pair.material.gear
@@ -168,6 +169,7 @@ def test_a_ring_without_pins_is_of_the_discs_material_and_has_no_friction_from_t
     assert drive.pair.material.pin.compliance > 20.0 * softer.pair.material.pin.compliance
 
 
+@pytest.mark.slow(2)
 def test_discs_keep_within_the_stated_length():
     drive = size(Wish(**{**CNC, "torque": "5 N*m", "length": "16 mm"}))
     pair = drive.pair
@@ -204,6 +206,7 @@ def test_an_impossible_wish_names_what_is_possible():
     assert size(wish.replace(torque=0.9 * torque)).pair.rated_torque == pytest.approx(0.9 * torque)
 
 
+@pytest.mark.slow(4)
 def test_a_torque_that_no_contacts_balance_names_what_is_possible_too():
     # In polymer of 1.6 GPa the search ends where pins leave the teeth, before any pressure is compared.
     changes = {"outer_diameter": "40 mm", "torque": "100 N*m", "material": "POM", "process": "SLS"}

@@ -3,7 +3,7 @@ import json
 
 import numpy as np
 import pytest
-from common import drawn, study_size
+from common import draws, study_size
 from hypothesis import strategies as st
 
 import fitting
@@ -57,7 +57,7 @@ def figures_from(torque, angle, rated=167.0, ratio=None, crank=0.0):
     return figures_of([survey(made, ratio, rated)], ratio, rated)
 
 
-@drawn(
+@draws(
     8,
     25,
     3,
@@ -238,7 +238,9 @@ KNEES = [(0.2, 0.4), (0.4, 0.4), (0.4, 0.2), (0.1, 0.5), (0.3, 0.0), (0.6, 0.1)]
 
 
 @pytest.mark.parametrize(("knee", "friction"), KNEES)
-@pytest.mark.parametrize("each", [300, 1000, pytest.param(4000, marks=pytest.mark.slow(1))])
+@pytest.mark.parametrize(
+    "each", [pytest.param(300, marks=pytest.mark.slow(0)), 1000, pytest.param(4000, marks=pytest.mark.slow(1))]
+)
 def test_the_lost_motion_of_a_round_knee_is_that_at_three_percent(knee, friction, each):
     """Of 20 N·m rated torque and 6′ of play. A line through 2 to 4 % made 6.01 ± 0.24 of 6.32′ in the first one."""
     for loops in (1, 2):
@@ -434,7 +436,10 @@ KNOWN = {k: (a * ARCSEC, p) for k, (a, p) in KNOWN.items()}
 FINE = np.linspace(0, 2 * np.pi, 200000)
 
 
-@pytest.mark.parametrize(("turns", "each", "highest"), [(3.2, 9999.7, 1560), (1.0, 8192, 1560), (2.0, 4000, 40)])
+@pytest.mark.parametrize(
+    ("turns", "each", "highest"),
+    [(3.2, 9999.7, 1560), pytest.param(1.0, 8192, 1560, marks=pytest.mark.slow(1)), (2.0, 4000, 40)],
+)
 @pytest.mark.parametrize("seeds", [3, pytest.param(SEEDS, marks=pytest.mark.slow)])
 def test_known_orders_come_back_within_their_uncertainty(turns, each, highest, seeds, record_property):
     """Points that hold uneven numbers of samples at uneven angles, one turn and several.
