@@ -340,6 +340,7 @@ def test_samples_of_unequal_length_are_refused():
 
 WRITE_FOREVER = """
 import sys
+sys.path.insert(0, "tests")
 from tests.drivers.test_recording_format import HEADER, NAMES, block
 from drivers.recording_format import RecordingWriter
 with RecordingWriter(sys.argv[1], HEADER) as writer:
