@@ -704,6 +704,7 @@ def test_a_compressed_file_that_unpacks_to_too_much_is_refused(tmp_path, monkeyp
 @tries("Compressed files (`.gz`)")
 @tries(FMU)
 @pytest.mark.parametrize("name", ["a.csv.gz", "a.fmu"])
+@pytest.mark.slow(1)
 def test_what_unpacks_to_a_hundred_times_its_size_fills_no_disk(tmp_path, monkeypatch, name):
     """Zeros, which are packed to a thousandth: refused at 64 MiB and a hundred times the file, not at 4 GiB."""
     rows = TABLE.encode() + b"0,0,0,5\n" * (9 << 20)
@@ -722,6 +723,7 @@ def test_what_unpacks_to_a_hundred_times_its_size_fills_no_disk(tmp_path, monkey
 
 
 @tries("Parquet and recordings (`.arrows`)")
+@pytest.mark.slow(2)
 def test_a_parquet_file_of_nothing_but_zeros_is_refused_and_a_long_run_is_not(tmp_path):
     """40 million zeros in four columns are packed to a thousandth; a noisy angle takes most of its bytes."""
     names, noise = ("time [s]", "input_angle [rad]", "output_angle [rad]"), np.random.default_rng(1)
@@ -751,6 +753,7 @@ def test_a_report_shows_names_as_names():
 
 
 @posix
+@pytest.mark.slow(3)
 def test_names_are_no_formulas_in_pictures(tmp_path, command):
     """A file's name and a channel's, in every picture of a recording."""
     time, name = np.arange(4000) / 200.0, r"a$\frac{$"

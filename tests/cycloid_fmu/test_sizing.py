@@ -28,7 +28,7 @@ CNC = {"ratio": 15, "outer_diameter": "70 mm", "torque": "20 N*m", "material": "
 PRINTED = {"ratio": 11, "outer_diameter": "90 mm", "torque": "8 N*m", "material": "printed PLA", "process": "FDM"}
 
 
-@pytest.fixture(scope="module", params=[CNC, PRINTED], ids=["CNC", "printed"])
+@pytest.fixture(scope="module", params=[CNC, pytest.param(PRINTED, marks=pytest.mark.slow(4))], ids=["CNC", "printed"])
 def sized(request):
     return size(Wish(**request.param))
 

@@ -265,6 +265,7 @@ def test_the_interval_of_a_round_knee_contains_its_lost_motion(knee, friction, n
     assert inside >= 0.95 * seeds - 4.0 * np.sqrt(0.05 * 0.95 * seeds)
 
 
+@pytest.mark.slow(1)
 def test_a_note_on_friction_says_what_is_so():
     """Inside the friction band is a load below the friction; a knee that reaches the load is called a knee."""
     for knee, friction in KNEES:
@@ -505,6 +506,7 @@ def test_each_way_of_the_crank_has_its_own_range():
     assert found.interval == pytest.approx((0.0, 2.0 * np.pi))
 
 
+@pytest.mark.slow(1)
 def test_what_the_angles_clocks_may_run_apart_in_a_turn_is_in_the_uncertainty():
     """Clocks known to 50 µs at either end: twice that, at the output's speed, over the turns that were averaged."""
     made = run_with(KNOWN, turns=3, each=4000, noise=0.0, seed=1)
@@ -570,7 +572,7 @@ def ramp_of_speed(turns=26.0, samples=6400):
 
 
 @pytest.mark.parametrize("ratio", [None, -13, 13])
-@pytest.mark.parametrize("gap", [False, True])
+@pytest.mark.parametrize("gap", [False, pytest.param(True, marks=pytest.mark.slow(0))])
 @pytest.mark.parametrize("stuck", [False, True])
 def test_an_output_that_turns_has_no_figure_without_the_angle_of_the_input(command, tmp_path, ratio, gap, stuck):
     """Neither without a column for it nor with an encoder that is not connected: no loop, and no transmission error."""
