@@ -54,6 +54,27 @@ def counted(number: int, noun: str) -> str:
     return f"{number} {noun if number == 1 else plural}"
 
 
+def carried(
+    valid: npt.NDArray[np.intp], bits: npt.NDArray[np.int64], pending: int
+) -> tuple[npt.NDArray[np.int64], int]:
+    """Return the status bits of the valid readings, shape (k,), and those left for the next one.
+
+    Parameters
+    ----------
+    valid
+        Indices of the valid readings, shape (k,).
+    bits
+        Bits noted at each reading, shape (n,); those at a reading that is left out go to the next valid one.
+    pending
+        Bits left from the readings before.
+    """
+    status = np.zeros(len(valid) + 1, np.int64)
+    noted = np.flatnonzero(bits)
+    np.bitwise_or.at(status, np.searchsorted(valid, noted), bits[noted])  # several losses may precede one reading
+    status[0] |= pending
+    return status[:-1], int(status[-1])
+
+
 class UnseenTurns:
     """Corrects counts for rollovers missed in a gap, using the speed before the gap.
 

@@ -11,7 +11,6 @@ from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar
 
 from drivers.encoder import Encoder, EncoderError
 from drivers.lines import LineConfig
-from drivers.recording_format import Event
 
 BLOCK_SECONDS = 0.05  # length of a block, and so the most that a kill loses besides the batch being written
 WAITING_LIMIT = 1 << 20  # most readings that wait for the recorder; further ones are lost, counted and marked
@@ -70,9 +69,9 @@ class BlockQueue(Generic[Block]):
             return taken
 
 
-def drained(events: collections.deque[Event]) -> list[Event]:
-    """Empty a queue of events that another thread may be filling."""
-    return [events.popleft() for _ in range(len(events))]
+def drained(queue: collections.deque[Block]) -> list[Block]:
+    """Empty a queue, such as of events, that another thread may be filling."""
+    return [queue.popleft() for _ in range(len(queue))]
 
 
 def reason(problem: Exception, what: str) -> str:
@@ -90,7 +89,9 @@ def reason(problem: Exception, what: str) -> str:
 
 class _Hub(Protocol):
     config: Any
-    broken: bool
+
+    @property
+    def broken(self) -> bool: ...
 
     def close(self) -> None: ...
 

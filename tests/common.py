@@ -1,6 +1,7 @@
 """Shared by several tests: the data, the 39/40 pair and field units."""
 
 import importlib
+import inspect
 import json
 import os
 import re
@@ -8,6 +9,8 @@ from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
+import pytest
+from hypothesis import given, settings
 
 from cycloid_fmu.geometry.pair import parse_pair
 
@@ -46,6 +49,28 @@ WEAR_PAIR = PAIR.replace("64 mm", "66 mm") + '[modification]\noffset = "-50 um"\
 def study_size(name, short, full):
     """Size of a study: the environment variable's value, or else the full one with CYCLOID_FULL=1, or the short one."""
     return int(float(os.environ.get(name, full if os.environ.get("CYCLOID_FULL") else short)))
+
+
+def draws(short, full, seconds, **strategies):
+    """Draw a property's values `short` times in the default set and, in `seconds`, `full` times in the slow one."""
+
+    def decorate(check):
+        fixtures = [name for name in inspect.signature(check).parameters if name not in strategies]
+
+        @pytest.mark.parametrize("examples", [short, pytest.param(full, marks=pytest.mark.slow(seconds))])
+        def test(examples, request):
+            values = {name: request.getfixturevalue(name) for name in fixtures}
+
+            def drawn_once(**drawn):
+                check(**values, **drawn)
+
+            drawn_once.__name__ = check.__name__
+            settings(max_examples=examples)(given(**strategies)(drawn_once))()
+
+        test.__name__, test.__doc__ = check.__name__, check.__doc__
+        return test
+
+    return decorate
 
 
 def make_pair(text=PAIR, **keys):

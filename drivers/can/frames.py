@@ -5,7 +5,9 @@ from __future__ import annotations
 import collections
 import contextlib
 import dataclasses
+import functools
 import math
+import operator
 import time
 
 import numpy as np
@@ -13,7 +15,7 @@ import numpy.typing as npt
 
 from drivers.can.bus import frame_name
 from drivers.can.hub import BEHIND_GAP, NO_SYNC, CanHub, Frames, joined_frames
-from drivers.counts import Pace, counted, judge_sequence, missing_by_pace
+from drivers.counts import Pace, carried, counted, judge_sequence, missing_by_pace
 from drivers.encoder import EncoderConnectionError
 from drivers.hubs import drained
 from drivers.recording_format import DUPLICATE, GAP, OUT_OF_ORDER, ClockJumps, Event, FloatArray, IntArray
@@ -170,13 +172,8 @@ class FrameReader:
         else:
             good &= self._synced(frames, before)
         valid = np.flatnonzero(good)
-        # Bits of a frame left out go to the next one kept, in this block or a later one.
-        marks = np.zeros(len(valid) + 1, np.int64)
-        noted = np.flatnonzero(before)
-        np.bitwise_or.at(marks, np.searchsorted(valid, noted), before[noted])
-        while self._marks:
-            marks[0] |= self._marks.popleft()
-        status, pending = marks[:-1], int(marks[-1])
+        pending = functools.reduce(operator.or_, drained(self._marks), 0)
+        status, pending = carried(valid, before, pending)
         if pending:
             self._marks.append(pending)
         if len(valid) == 0:

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import collections
 import contextlib
+import dataclasses
 import itertools
 import threading
 import time
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 import can
 import numpy as np
@@ -24,6 +25,7 @@ from drivers.can.frames import FrameReader, Judged
 from drivers.can.hub import CanHub
 from drivers.can.motor import CanMotor
 from drivers.counts import counted
+from drivers.hubs import SharedHubs
 from drivers.lines import BusConfig
 from drivers.motor import MotorConfig
 from drivers.recording_format import GAP, FloatArray, Samples
@@ -52,69 +54,73 @@ class MoteusConfig(MotorConfig):
     period: Annotated[edge.Seconds, pydantic.Field(ge=1e-3, le=1.0)] = 5e-3
 
 
+@dataclasses.dataclass(frozen=True)
+class _Queried:
+    """A controller on a bus and the interval of its queries, s, which its first channel states."""
+
+    hub: CanHub
+    node: int
+    period: float
+
+    @property
+    def address(self) -> str:
+        """What identifies the controller on this machine."""
+        return f"{self.hub.config.address} {self.node}"
+
+
 class _Queries:
     """The thread that queries a controller for all its channels.
 
     Queries are numbered. Those that it could not send in a pause of this process have numbers too: they are missing.
     """
 
-    shared: ClassVar[dict[tuple[CanHub, int], _Queries]] = {}
-    lock: ClassVar[threading.Lock] = threading.Lock()
-
-    def __init__(self, hub: CanHub, node: int, period: float) -> None:
-        self.users, self._hub, self._node, self._period = 0, hub, node, period
+    def __init__(self, config: _Queried) -> None:
+        self.config, self._lock = config, threading.Lock()
         self._sent: collections.deque[tuple[float, int]] = collections.deque(maxlen=_REMEMBERED)
         self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._run, name=f"moteus {node}", daemon=True)
+        self._thread = threading.Thread(target=self._run, name=f"moteus {config.node}", daemon=True)
+        self._thread.start()
 
-    @classmethod
-    def join(cls, hub: CanHub, node: int, period: float) -> _Queries:
-        """Query a controller from now on; see `leave`."""
-        with cls.lock:
-            queries = cls.shared.get((hub, node))
-            if queries is None:
-                queries = cls.shared[hub, node] = cls(hub, node, period)
-                queries._thread.start()
-            queries.users += 1
-            return queries
+    @property
+    def broken(self) -> bool:
+        """Whether its bus has failed."""
+        return self.config.hub.broken
 
-    def leave(self) -> None:
-        """Stop querying with the last user."""
-        with self.lock:
-            self.users -= 1
-            if self.users:
-                return
-            del self.shared[self._hub, self._node]
+    def close(self) -> None:
+        """Stop querying."""
         self._stopping.set()
         self._thread.join()
 
     @property
     def newest(self) -> int:
         """Number of the newest query; -1 before the first."""
-        with self.lock:
+        with self._lock:
             return self._sent[-1][1] if self._sent else -1
 
     def asked(self, times: FloatArray) -> FloatArray:
         """Return the number of the newest query before each reply, received at times in s since 1970, shape (n,)."""
         oldest = float(times[0]) - _LATEST
-        with self.lock:
+        with self._lock:
             recent = list(itertools.takewhile(lambda query: query[0] > oldest, reversed(self._sent)))[::-1]
         sent, numbers = np.array([(-np.inf, -1), *recent]).T
         return np.asarray(numbers[np.searchsorted(sent, times, side="right") - 1])
 
     def _run(self) -> None:
-        number, due = 0, time.monotonic()
+        number, due, period = 0, time.monotonic(), self.config.period
         asked = due
-        while not self._stopping.wait(max(0.0, due - time.monotonic())) and not self._hub.broken:
+        while not self._stopping.wait(max(0.0, due - time.monotonic())) and not self.broken:
             now = time.monotonic()
-            if now - asked > max(_PAUSE, 5.0 * self._period):
-                number += int((now - asked) / self._period) - 1
-            with self.lock:
+            if now - asked > max(_PAUSE, 5.0 * period):
+                number += int((now - asked) / period) - 1
+            with self._lock:
                 self._sent.append((time.time(), number))
             with contextlib.suppress(can.CanError):  # no buffer is free, as nobody acknowledges; no reply will come
-                query(self._hub, self._node)
+                query(self.config.hub, self.config.node)
             # Not at once after a late query, whose reply would count as that of the next.
-            number, asked, due = number + 1, now, max(due + self._period, now + 0.25 * self._period)
+            number, asked, due = number + 1, now, max(due + period, now + 0.25 * period)
+
+
+_QUERIES = SharedHubs(_Queries)
 
 
 def query(hub: CanHub, node: int) -> None:
@@ -155,12 +161,12 @@ class MoteusServo(CanMotor):
         """Query the controller from now on."""
         super().start()
         assert self.hub is not None, "start() is for a controller that is open"
-        self._queries = _Queries.join(self.hub, self.config.node, self.config.period)
+        self._queries = _QUERIES.acquire(_Queried(self.hub, self.config.node, self.config.period))
 
     def leave(self, hub: CanHub) -> None:
         """Stop querying and reading."""
         if self._queries is not None:
-            self._queries.leave()
+            _QUERIES.release(self._queries)
             self._queries = None
         super().leave(hub)
 

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 
 from cycloid_fmu import edge
+from drivers.recording_format.joining import joined_batches
 from drivers.recording_format.reader import RecordingReader
 from drivers.recording_format.schema import (
     COLUMN_DTYPES,
     Event,
     FloatArray,
     Samples,
-    joined,
     record_batch,
     recording_metadata,
     recording_schema,
@@ -82,17 +82,10 @@ def batches(reader: RecordingReader, progress: Progress) -> Iterator[tuple[Sampl
 
 def _gathered(reader: RecordingReader, events: list[Event], progress: Progress) -> Iterator[Samples]:
     """Yield each channel's samples in large blocks, and collect the events."""
-    waiting: dict[str, list[Samples]] = {c.name: [] for c in reader.header.channels}
-    for samples, new_events in batches(reader, progress):
+    for samples, new_events in joined_batches(batches(reader, progress), fill=True):
         events.extend(new_events)
-        blocks = waiting[samples.channel]
-        blocks.append(samples)
-        if sum(map(len, blocks)) >= _CHUNK:
-            yield joined(blocks[0].channel, blocks, fill=True)
-            blocks.clear()
-    for blocks in waiting.values():
-        if any(map(len, blocks)):
-            yield joined(blocks[0].channel, blocks, fill=True)
+        if len(samples):
+            yield samples
 
 
 def _event_text(events: list[Event]) -> str:

@@ -15,11 +15,13 @@ JOINED_SAMPLES = 1 << 15  # of all channels, joined at a time: so many may be lo
 LARGE = 1 << 11  # samples in a usual batch from which on joining brings little
 
 
-def joined_batches(batches: Iterable[tuple[Samples, tuple[Event, ...]]]) -> Iterator[tuple[Samples, tuple[Event, ...]]]:
+def joined_batches(
+    batches: Iterable[tuple[Samples, tuple[Event, ...]]], *, fill: bool = False
+) -> Iterator[tuple[Samples, tuple[Event, ...]]]:
     """Yield the samples of each channel in large batches, and all events in their order.
 
-    Samples of a channel keep their order; batches that lack different columns are not joined. Memory is that of
-    `JOINED_SAMPLES`.
+    Samples of a channel keep their order; batches that lack different columns are not joined, or with `fill` as
+    `schema.joined` fills them. Memory is that of `JOINED_SAMPLES`.
     """
     waiting: dict[str, list[Samples]] = {}
     events: list[Event] = []
@@ -29,7 +31,7 @@ def joined_batches(batches: Iterable[tuple[Samples, tuple[Event, ...]]]) -> Iter
     def taken() -> Iterator[tuple[Samples, tuple[Event, ...]]]:
         new_events = tuple(events)
         for channel, blocks in waiting.items():
-            yield joined(channel, blocks), new_events
+            yield joined(channel, blocks, fill=fill), new_events
             new_events = ()
         if new_events and empty is not None:
             yield empty, new_events
@@ -38,7 +40,8 @@ def joined_batches(batches: Iterable[tuple[Samples, tuple[Event, ...]]]) -> Iter
 
     for samples, new_events in batches:
         blocks = waiting.get(samples.channel, [])
-        if gathered >= JOINED_SAMPLES or (blocks and len(samples) and _columns(blocks[0]) != _columns(samples)):
+        differs = not fill and blocks and len(samples) and _columns(blocks[0]) != _columns(samples)
+        if gathered >= JOINED_SAMPLES or differs:
             yield from taken()
             gathered = 0
         if len(samples):

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import collections
 import dataclasses
+import itertools
 import math
 from collections.abc import Mapping
 
@@ -24,6 +25,7 @@ _JUMP = 0.5 * math.pi  # rad: deviation from the motion before and after, if no 
 _SPIKE = 3  # samples within which a jump back ends a spike
 _LATE = 1.5  # usual time steps, the least assumed: samples that arrive together after a delay show no speed
 _WAITING = 1 << 16  # most samples of one angle that wait for the other
+_REMEMBERED = 64  # faults, by time and role, that are not reported again
 STAMP_SECONDS = 0.1  # s: lateness, on a busy host, of the stamps of angles that share no times
 
 
@@ -76,13 +78,6 @@ class Steps:
             Mask of the samples whose step from the previous one is not judged: after a gap or reset, shape (n,).
         """
         held = self._time.size
-        if self._judged and self._speed is None and value.size > 3 and not broken.any():
-            steps = np.diff(value)
-            last = max(abs(float(value[0] - self._value[-1])), float(np.abs(np.diff(self._value)).max(initial=0.0)))
-            if max(last, float(steps.max()), -float(steps.min())) <= 0.5 * _JUMP:  # no two are a jump apart
-                self._time, self._value, self._broken = time[-3:], value[-3:], broken[-3:]
-                self._jumped, self._reported = None, False
-                return np.zeros(value.size, np.bool_), []
         t = np.concatenate([self._time, time])
         v = np.concatenate([self._value, value])
         cut = np.concatenate([self._broken, broken])
@@ -192,6 +187,7 @@ class Plausibility:
         self._waiting: dict[str, list[_Judged]] = {role: [] for role in ANGLES}
         self._broken = False
         self._ends = dict.fromkeys(ANGLES, -math.inf)
+        self._known: collections.deque[tuple[float, str]] = collections.deque(maxlen=_REMEMBERED)
 
     def add(self, blocks: Mapping[str, Samples]) -> tuple[dict[str, Mask], list[Finding]]:
         """Return the mask of implausible samples among the next ones, and the findings.
@@ -233,13 +229,13 @@ class Plausibility:
                 _Judged(time if whole else time[onward], samples.value[part], broken[part], jumps)
             )
         if self._ratio is None:
-            return marks, findings
+            return marks, self._news(findings)
         paired = self._paired() if all(self._waiting.values()) else None
         if paired is None:
             if self._line is not None:
                 for role, mine in in_order.items():
                     marks[role] |= mine & self._line.still_away(role, blocks[role].value)
-            return marks, findings
+            return marks, self._news(findings)
         time, angles, broken, jumped = paired
         if self._line is None:
             self._line = Line(self._ratio, self._limits, 0.0 if self._shared else STAMP_SECONDS)
@@ -254,15 +250,21 @@ class Plausibility:
                 index = np.searchsorted(time, own)
                 inside = (index < time.size) & in_order[role]
                 index = np.minimum(index, time.size - 1)
-            mine[inside & returned[index]] = False  # the jump was the return to the line
+            mine[inside & returned[index]] = False
             mine |= inside & by_role[role][index]
             mine |= ~inside & in_order[role] & self._line.still_away(role, blocks[role].value)
-        reported_jumps = {(f.time, role) for f in findings for role in f.roles}
-        back = set(time[returned].tolist())
-        findings = [f for f in findings if f.time not in back]
-        return marks, findings + [
-            f for f in new_findings if not any((f.time, role) in reported_jumps for role in f.roles)
-        ]
+        self._known += itertools.product(time[returned].tolist(), ANGLES)
+        return marks, self._news(findings + new_findings)
+
+    def _news(self, findings: list[Finding]) -> list[Finding]:
+        """Return the findings not known yet: a jump shows in the angle itself and as one off the line of the ratio."""
+        news = []
+        for finding in findings:
+            faults = [(finding.time, role) for role in finding.roles]
+            if not any(fault in self._known for fault in faults):
+                news.append(finding)
+            self._known += faults
+        return news
 
     def _paired(self) -> tuple[FloatArray, dict[str, FloatArray], Mask, dict[str, Mask]] | None:
         """Return times at which both angles are known, the angles, gaps and jumps; later samples wait."""

@@ -42,7 +42,8 @@ class _Away:
 class _Last:
     """The previous sample: time, s, angles and deviation, rad, deviation of the one before, rates, rad/s of the output.
 
-    `returned`: it was the first sample back on the line.
+    The rates are those of a step that lasts `duration`, s. `judged`: roles whose jump here is judged already, as one
+    off the line or back on it.
     """
 
     time: float
@@ -52,7 +53,8 @@ class _Last:
     earlier: float
     turning_rate: float
     driven_rate: float
-    returned: bool
+    duration: float
+    judged: tuple[str, ...] = ()
 
 
 @dataclasses.dataclass
@@ -97,7 +99,10 @@ class Line:
     def add(
         self, time: FloatArray, angles: Mapping[str, FloatArray], broken: Mask, jumps: Mapping[str, Mask]
     ) -> tuple[dict[str, Mask], Mask, list[Finding]]:
-        """Return masks of implausible samples by role, the mask of those back on the line, shape (n,), and findings.
+        """Return masks of implausible samples by role, the mask of those whose jumps are no new ones, and findings.
+
+        A jump is no new one where it leads back to the line, or where it is that of the sample before, judged already;
+        the masks have the shape (n,).
 
         Parameters
         ----------
@@ -139,8 +144,6 @@ class Line:
             self._recount(float(given.driven[0] - line[0]))
         off = given.driven - line + self._turns
         before = None if gap else self._last
-        if before is not None and self._keeps(given, off, before):
-            return
         turned = np.diff(given.turning, prepend=given.turning[0] if before is None else before.turning) / self._ratio
         driven = np.diff(given.driven, prepend=given.driven[0] if before is None else before.driven)
         lasts = np.maximum(np.diff(time, prepend=time[0] if before is None else before.time), 1e-9)
@@ -149,21 +152,24 @@ class Line:
         wide = np.where(moved, self._wide, _LOCKED * self._wide)
         speed = np.maximum(np.abs(turned), np.abs(driven)) / lasts
         usual = np.minimum(speed, 4.0 * np.median(speed)) if size > 2 else speed
-        if before is not None and before.returned and (given.turning_jumps[0] or given.driven_jumps[0]):
-            given.turning_jumps[0] = given.driven_jumps[0] = False  # the jump was the return to the line
-            returned[0] = True
+        for role, jumps in zip(ANGLES, (given.turning_jumps, given.driven_jumps), strict=True):
+            if before is not None and role in before.judged and jumps[0]:
+                jumps[0], returned[0] = False, True
         sudden, whose, rates = self._sudden(turned, driven, lasts, usual, given, before)
         was = np.concatenate([[off[0] if before is None else before.off], off[:-1]])
-        at = 0
+        at, judged = 0, dict[int, tuple[str, ...]]()
         while at < size:
             if self._away is not None:
+                roles = self._away.roles
                 at = self._return(at, off, marks, returned, sudden)
+                judged[at] = roles
                 continue
             at = self._follow(at, line, off, turned, usual, wide, sudden)
             if at == size:
                 break
             if sudden[at]:
                 yield self._leap(at, given, off, was, int(whose[at]), marks)
+                judged[at] = (ANGLES[whose[at]],)
                 at += 1
             elif (departure := self._departure(at, given, off, runs, marks)) is not None:
                 yield departure
@@ -176,7 +182,7 @@ class Line:
                 begun = size - 1 - int(run[-1])
                 self._stood[index] = float(time[begun]), float(off[begun])
         angles = float(given.turning[-1]), float(given.driven[-1])
-        self._last = _Last(float(time[-1]), *angles, float(off[-1]), float(was[-1]), *rates, bool(returned[-1]))
+        self._last = _Last(float(time[-1]), *angles, float(off[-1]), float(was[-1]), *rates, judged.get(size - 1, ()))
 
     def _return(self, at: int, off: FloatArray, marks: dict[str, Mask], returned: Mask, sudden: Mask) -> int:
         """Mark samples off the line from `at` on; return the place of the first one back on it, or the end."""
@@ -214,40 +220,6 @@ class Line:
         self._take(line[part], off[part], usual[part], low[:count], high[:count], travel[:count])
         return at + count
 
-    def _keeps(self, given: _Stretch, off: FloatArray, before: _Last) -> bool:
-        """Accept samples so close to the line that they cannot be at fault; False if they are not.
-
-        A sound bench delivers such samples for hours; this takes a fifth of the time of the full check.
-        """
-        if self._away is not None or before.returned or not (self._held and self._moved) or off.size < _SEEN:
-            return False
-        low, high = min(self._span[0], float(off.min())), max(self._span[1], float(off.max()))
-        if high - low > 0.5 * self._wide or given.turning_jumps.any() or given.driven_jumps.any():
-            return False
-        time, turning, driven = given.time, given.turning, given.driven
-        travel = (float(np.abs(np.diff(turning)).sum()) + abs(float(turning[0]) - before.turning)) / abs(self._ratio)
-        self._travel += travel
-        slack = self._stamps * travel / max(float(time[-1]) - before.time, 1e-9)
-        self._low = min(self._low, low - _FOLLOW * self._travel + slack)
-        self._high = max(self._high, high + _FOLLOW * self._travel - slack)
-        self._seen, self._span = self._seen + off.size, (low, high)
-        for index, (angle, last) in enumerate(((turning, before.turning), (driven, before.driven))):
-            changed = (
-                np.flatnonzero(angle[:-1] != angle[-1])[-1:] if angle[-1] == angle[-2] else np.array([off.size - 2])
-            )
-            if changed.size:
-                begun = int(changed[0]) + 1
-                self._runs[index], self._stood[index] = off.size - 1 - begun, (float(time[begun]), float(off[begun]))
-            elif last == angle[-1]:
-                self._runs[index] += off.size
-            else:
-                self._runs[index], self._stood[index] = off.size - 1, (float(time[0]), float(off[0]))
-        lasts = max(float(time[-1] - time[-2]), 1e-9)
-        rates = float(turning[-1] - turning[-2]) / self._ratio / lasts, float(driven[-1] - driven[-2]) / lasts
-        angles = float(turning[-1]), float(driven[-1])
-        self._last = _Last(float(time[-1]), *angles, float(off[-1]), float(off[-2]), *rates, False)
-        return True
-
     def _recount(self, off: float) -> None:
         """Correct the deviation for whole input turns missed in a gap."""
         assert self._last is not None
@@ -275,19 +247,21 @@ class Line:
         speed: FloatArray,
         given: _Stretch,
         before: _Last | None,
-    ) -> tuple[Mask, npt.NDArray[np.int64], tuple[float, float]]:
+    ) -> tuple[Mask, npt.NDArray[np.int64], tuple[float, float, float]]:
         """Return the mask of jumps of the deviation that the motion before does not explain, and whose each jump is.
 
-        0 is the input, 1 the output. The third result is the rates of both before the next sample, rad/s of the output.
+        0 is the input, 1 the output. The third result is the rates of both before the next sample, rad/s of the output,
+        and the duration of their step, s.
         """
         steps = np.array([turned, driven])
         first = np.zeros(2) if before is None else np.array([before.turning_rate, before.driven_rate])
+        durations = np.append(0.0 if before is None else before.duration, lasts)
         rates = np.concatenate([first[:, None], steps / lasts], axis=1)
         allowed = self._wide + self._apart * np.concatenate([speed[:1], speed[:-1]])
 
         def beyond(at: Any, reference: Any) -> FloatArray:
             expected = rates[:, reference] * lasts[at]
-            same = steps[:, np.maximum(reference - 1, 0)]
+            same = rates[:, reference] * durations[reference]
             return np.asarray(
                 steps[:, at] - np.clip(steps[:, at], np.minimum(expected, same), np.maximum(expected, same))
             )
@@ -311,16 +285,16 @@ class Line:
                 sudden |= jumps
                 whose[jumps] = index
         calm = np.flatnonzero(~sudden)
-        rate = rates[:, calm[-1] + 1] if calm.size else first
-        return sudden, whose, (float(rate[0]), float(rate[1]))
+        last = int(calm[-1]) + 1 if calm.size else 0
+        return sudden, whose, (float(rates[0, last]), float(rates[1, last]), float(durations[last]))
 
     def _leap(
         self, at: int, given: _Stretch, off: FloatArray, was: FloatArray, whose: int, marks: dict[str, Mask]
     ) -> Finding:
         """Mark a jump; with a line, the angle counts as off it from there on."""
-        role, before = ANGLES[whose], float(was[at])
-        if at == 0 and self._last is not None and abs(off[at] - before) < abs(off[at] - self._last.earlier):
-            before = self._last.earlier  # a jump of the newest sample shows only with the next one
+        role, before, time = ANGLES[whose], float(was[at]), float(given.time[at])
+        if at == 0 and self._last is not None and abs(off[at] - before) < abs(before - self._last.earlier):
+            before, time = self._last.earlier, self._last.time  # a jump of the newest sample shows with the next one
         by = float(off[at]) - before
         if self._seen >= _SEEN and abs(by) > _SMALL * self._wide:
             half = min(0.5 * abs(by), 2.0 * self._wide)
@@ -329,7 +303,7 @@ class Line:
             self._begin(keep=False)
         marks[role][at] = True
         value = math.degrees(by * (-self._ratio if whose == 0 else 1.0))
-        return Finding(float(given.time[at]), (role,), f"{role} jumps by {value:.4g} deg")
+        return Finding(time, (role,), f"{role} jumps by {value:.4g} deg")
 
     def _departure(
         self, at: int, given: _Stretch, off: FloatArray, runs: list[npt.NDArray[np.int64]], marks: dict[str, Mask]

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import serial
 
-from drivers.counts import UnseenTurns, counted
+from drivers.counts import UnseenTurns, carried, counted
 from drivers.encoder import EncoderConnectionError, EncoderProtocolError, EncoderTimeout
 from drivers.hubs import BlockQueue, HubEncoder, drained, reason
 from drivers.lines import PortConfig
@@ -129,13 +129,8 @@ class SerialEncoder(HubEncoder[PortHub]):
         lost, wrong
             Masks of the readings lost, and of those with a wrong checksum, shape (n,).
         """
-        marks = np.zeros(len(valid) + 1, np.int64)
-        # bitwise_or.at, because several losses may precede the same sample
-        np.bitwise_or.at(marks, np.searchsorted(valid, np.flatnonzero(lost)), GAP)
-        np.bitwise_or.at(marks, np.searchsorted(valid, np.flatnonzero(wrong)), GAP | CHECKSUM)
-        marks[0] |= self._pending
-        self._pending = int(marks[-1])
-        return marks[:-1]
+        status, self._pending = carried(valid, GAP * (lost | wrong) | CHECKSUM * wrong, self._pending)
+        return status
 
     def events(self) -> list[Event]:
         """Return the events of lost readings; see `Encoder.events`."""

@@ -115,7 +115,10 @@ def test_a_pressed_bore_widens_as_lame_states():
     assert sectors.sum(axis=1) == pytest.approx(pressure * inner / YOUNG * (ratio + POISSON), rel=5e-4)
 
 
-@pytest.mark.parametrize(("middle", "height", "within"), [(0.0475, 0.005, 5e-3), (0.045, 0.010, 0.015)])
+@pytest.mark.parametrize(
+    ("middle", "height", "within"),
+    [pytest.param(0.0475, 0.005, 5e-3, marks=pytest.mark.slow(1)), (0.045, 0.010, 0.015)],
+)
 def test_a_ring_under_opposite_forces_deforms_as_a_curved_beam(middle, height, within):
     """W. C. Young, R. G. Budynas, Roark's Formulas for Stress and Strain, table 9.2, case 1, for thick rings."""
     outer, inner = middle + 0.5 * height, middle - 0.5 * height
@@ -138,6 +141,7 @@ def test_a_cylinder_between_two_forces_flattens_as_hertz_law_states(half_width):
     assert 0.5 * opposite(body, 0, radius, half_width) == pytest.approx(law, rel=5e-3)
 
 
+@pytest.mark.slow(2)
 def test_a_tooth_s_compliance_and_the_law_s_part_of_a_patch_add_up_to_one_value():
     """Hertz' law holds what is nearer than w; so self terms change by (2/πb) V ln(w/w'), in plane strain."""
     strain = SMALL_DISC.replace(plane="strain")
@@ -352,7 +356,7 @@ def norm_error(computed, expected):
 @pytest.mark.parametrize(
     "name",
     [
-        "rollers-one-disc",
+        pytest.param("rollers-one-disc", marks=pytest.mark.slow(5)),
         pytest.param("rv-all-bodies", marks=pytest.mark.slow(5)),
         pytest.param("rv-fan-windows", marks=pytest.mark.slow(5)),
     ],

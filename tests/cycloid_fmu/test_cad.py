@@ -152,7 +152,9 @@ def test_as_many_arcs_as_the_third_root_of_the_chord_error_asks_for():
 
 
 @pytest.mark.parametrize("output", ["gear", "ring"])
-@pytest.mark.parametrize("disc", [0, 1, 2])
+@pytest.mark.parametrize(
+    "disc", [pytest.param(0, marks=pytest.mark.slow(1)), 1, pytest.param(2, marks=pytest.mark.slow(1))]
+)
 def test_at_crank_angle_0_all_pins_touch_every_disc(output, disc):
     """Without modification every pin touches at every crank angle: clocked wrongly, pins would have gaps or overlap."""
     profile = cy.Drive(make_pair(discs=3, output=output)).profile(disc=disc, chord_error=1e-9)
@@ -162,6 +164,7 @@ def test_at_crank_angle_0_all_pins_touch_every_disc(output, disc):
     assert abs(profile.ring_place + 1.3e-3 * np.exp(2j * np.pi * disc / 3)) < 1e-15
 
 
+@pytest.mark.slow(1)
 def test_a_tooth_with_a_pitch_error_is_turned_as_a_whole():
     pitch = np.random.default_rng(3).uniform(-8e-6, 8e-6, 39)
     drive = cy.Drive(MODIFIED).replace(errors={"tooth_cumulative_pitch": pitch})

@@ -207,6 +207,7 @@ def test_the_command_writes_drives_that_are_ready(tmp_path):
     assert (tmp_path / "found.png").stat().st_size > 10000
 
 
+@pytest.mark.slow(1)
 def test_a_found_drive_has_sizes_that_a_drawing_can_state(pair, tmp_path):
     """Whole nanometres, still on the side of a limit that leaves no room, and judged as they are written."""
     vary = {"pin_radius": ("2.7 mm", "3.3 mm"), "offset": ("-60 um", "0 um"), "isometric": ("-30 um", "0 um")}

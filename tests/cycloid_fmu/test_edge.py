@@ -5,7 +5,7 @@ import sys
 import numpy as np
 import pydantic
 import pytest
-from common import PAIR
+from common import PAIR, draws
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -110,11 +110,14 @@ def test_json_has_no_nan():
     )
 
 
-@given(
-    st.recursive(
+@draws(
+    25,
+    100,
+    1,
+    data=st.recursive(
         st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
         lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(), inner, max_size=4),
-    )
+    ),
 )
 def test_json_reads_back(data):
     assert json.loads(edge.json_text(data)) == data

@@ -296,7 +296,7 @@ def error_of(made, load, angles, s, speed):
 
 
 @pytest.mark.parametrize("name", ["cranks-fixed-pins", "output-sleeves", "printed-self-locking"])
-@pytest.mark.parametrize("s", [1, -1])
+@pytest.mark.parametrize("s", [1, pytest.param(-1, marks=pytest.mark.slow(1))])
 def test_derivatives_of_the_motion_with_friction_are_finite_differences(name, s):
     """By torque, crank angle and every kind of error that moves contacts and joints, and by every coefficient."""
     made, speed = with_errors(case(name)), 60.0
@@ -528,6 +528,7 @@ def test_the_friction_of_wear_is_the_drive_s():
         friction_of(drive(FRICTION).pair, law.replace(friction_coefficient=0.08))
 
 
+@pytest.mark.slow(1)
 def test_a_tolerance_study_judges_friction():
     """Its figures are those of each drawn drive alone; efficiency and self-locking are kept above their limits."""
     from cycloid_fmu.studies.limits import Requirements

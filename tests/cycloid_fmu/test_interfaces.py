@@ -78,7 +78,7 @@ def freed(slave):
     shutil.rmtree(slave.unzipDirectory, ignore_errors=True)
 
 
-@pytest.mark.parametrize("version", ["2.0", "3.0"])
+@pytest.mark.parametrize("version", [pytest.param("2.0", marks=pytest.mark.slow(1)), "3.0"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_description_is_the_table_and_validation_finds_nothing(fmus, kind, version):
     path = fmus(kind, version)

@@ -58,8 +58,8 @@ def as_tables(pair):
         (5, 10.0),
         (39, 10.0),
         (39, 0.2),
-        (150, 1.0),
-        (119, 10.0),
+        pytest.param(150, 1.0, marks=pytest.mark.slow(1)),
+        pytest.param(119, 10.0, marks=pytest.mark.slow(1)),
         (MOST_TEETH, 1.0),
     ],
 )

@@ -446,7 +446,7 @@ def test_a_jammed_drive_on_bearings_is_not_free(tmp_path, command):
     ).replace(offset="40 um")
     cy.Drive(pair).write(tmp_path / "jam.toml")
     (tmp_path / "r.toml").write_text(HEAD + '[limits]\ninterference = "0 um"\n')
-    done = command("cycloid-fmu", "analyze", "jam.toml", "--torque", "20 N*m", "--limits", "r.toml", "--angles", "20")
+    done = command("cycloid-fmu", "analyze", "jam.toml", "--torque", "20 N*m", "--limits", "r.toml", "--angles", "2")
     assert done.returncode == edge.NOT_MET
     assert "32 pins are pressed" in done.stderr
     tolerances = cy.Tolerances(limits={"interference": "0 um"}, pin_radius={"tolerance": "1 um"})

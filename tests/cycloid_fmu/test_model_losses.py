@@ -68,7 +68,7 @@ def turning(path, speed, torque, temperature, turns=2):
     return {name: run[name][-PER_TURN:] for name in names}
 
 
-@pytest.mark.parametrize("kelvin", [293.15, 320.0, 365.0])
+@pytest.mark.parametrize("kelvin", [293.15, pytest.param(320.0, marks=pytest.mark.slow(1)), 365.0])
 @pytest.mark.parametrize("rpm", [30.0, 1500.0])
 def test_the_fmu_needs_the_torque_of_the_balance_within_what_the_build_states(drive, built, kelvin, rpm):
     _, found, paths = built
@@ -90,7 +90,7 @@ def test_the_fmu_needs_the_torque_of_the_balance_within_what_the_build_states(dr
             assert run["power_loss"].mean() == pytest.approx(power, abs=2e-3 * of_load * speed)
 
 
-@pytest.fixture(scope="module", params=["crank", "sun"])
+@pytest.fixture(scope="module", params=["crank", pytest.param("sun", marks=pytest.mark.slow(8))])
 def driven(request, drive, built):
     """A drive by its crank, and an RV reducer whose friction falls with speed; with the interfaces and their losses."""
     if request.param == "crank":

@@ -9,9 +9,12 @@ import pytest
 from clockworks import Drive, kinematic_drive
 from common import EXAMPLES
 from fmpy.validation import validate_fmu
+from typer.testing import CliRunner
 
 import cycloid_fmu as cy
+from cycloid_fmu import edge
 from cycloid_fmu.analysis import solve
+from cycloid_fmu.cli import app
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.fmu.build import build_fmu
 from cycloid_fmu.fmu.run import described, simulate_fmu
@@ -150,21 +153,12 @@ def test_without_a_first_stage_it_is_the_drive():
 
 @pytest.fixture(scope="module")
 def fmu(tmp_path_factory):
-    import subprocess
-    import sys
-    from pathlib import Path
-
-    folder = tmp_path_factory.mktemp("reducer")
-    name = str(Path(sys.executable).with_name("cycloid-fmu"))
-    built = subprocess.run(
-        [name, "build", str(EXAMPLES / "rv-20e.toml"), "-o", "rv.fmu"],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert built.stderr.count("rv-20e.toml: ") == 3
-    return folder / "rv.fmu"
+    made = tmp_path_factory.mktemp("reducer") / "rv.fmu"
+    with pytest.warns(edge.InputWarning) as warned:
+        built = CliRunner().invoke(app, ["build", str(EXAMPLES / "rv-20e.toml"), "-o", str(made)])
+    assert built.exit_code == 0, built.output
+    assert ["rv-20e.toml: " in str(warning.message) for warning in warned] == [True] * 3
+    return made
 
 
 def test_the_fmu_has_the_drive_s_interface(fmu):

@@ -61,7 +61,7 @@ def test_pitch_keeps_both_limits_round_the_whole_circle(seed, teeth, single, fac
 
 
 @pytest.mark.parametrize("distribution", DISTRIBUTIONS)
-@pytest.mark.parametrize("factor", [1.0, 1.3, 3.0])
+@pytest.mark.parametrize("factor", [1.3, *(pytest.param(one, marks=pytest.mark.slow(1)) for one in (1.0, 3.0))])
 def test_pitch_has_the_conditioned_distribution(distribution, factor):
     """A second computation: draw single pitches that sum to zero, and reject those beyond a limit."""
     teeth, single = 6, 3e-6

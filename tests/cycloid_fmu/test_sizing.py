@@ -28,7 +28,7 @@ CNC = {"ratio": 15, "outer_diameter": "70 mm", "torque": "20 N*m", "material": "
 PRINTED = {"ratio": 11, "outer_diameter": "90 mm", "torque": "8 N*m", "material": "printed PLA", "process": "FDM"}
 
 
-@pytest.fixture(scope="module", params=[CNC, PRINTED], ids=["CNC", "printed"])
+@pytest.fixture(scope="module", params=[CNC, pytest.param(PRINTED, marks=pytest.mark.slow(4))], ids=["CNC", "printed"])
 def sized(request):
     return size(Wish(**request.param))
 
@@ -162,6 +162,7 @@ def test_the_commented_bodies_are_those_of_the_wish_with_bodies(sized):
     )
 
 
+@pytest.mark.slow(6)
 def test_a_ring_without_pins_is_of_the_discs_material_and_has_no_friction_from_the_table():
     drive = size(Wish(**{**PRINTED, "ring": "conjugate", "torque": "3 N*m"}))
     assert drive.pair.material.pin == drive.pair.material.gear
@@ -171,6 +172,7 @@ def test_a_ring_without_pins_is_of_the_discs_material_and_has_no_friction_from_t
     assert drive.pair.material.pin.compliance > 20.0 * softer.pair.material.pin.compliance
 
 
+@pytest.mark.slow(2)
 def test_discs_keep_within_the_stated_length():
     drive = size(Wish(**{**CNC, "torque": "5 N*m", "length": "16 mm"}))
     pair = drive.pair

@@ -143,6 +143,7 @@ def test_soderberg_s_line_ends_at_fatigue_and_yield():
     assert fatigue_stress(np.array([limit, limit]), steel) == pytest.approx(fatigue)
 
 
+@pytest.mark.slow(2)
 def test_webs_by_finite_elements_have_the_size_of_those_of_an_eye(solved):
     drive, swept = solved
     pair, hole, bore = drive.pair, 0.0053, 0.03

@@ -314,6 +314,7 @@ def test_tables_say_what_the_dataset_says(tmp_path):
         (tmp_path / f"t.{ending}").unlink()
 
 
+@pytest.mark.system
 def test_killed_in_mid_run_and_started_again(command, tmp_path):
     (tmp_path / "pair.toml").write_text(PAIR.read_text())
     words = ["sweep", "pair.toml", "--vary", "eccentricity=1.2:1.7:40 mm", "--vary", "isometric=-20, -10 um"]

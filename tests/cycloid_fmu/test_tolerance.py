@@ -113,6 +113,7 @@ def test_figures_are_those_of_the_analysis():
     assert values["lost_motion", None] > values["backlash", None]
 
 
+@pytest.mark.system
 def test_workers_change_no_bit_and_neither_does_the_company_of_other_samples():
     study = make_study()
     alone, two = run(study), run(study, workers=2)

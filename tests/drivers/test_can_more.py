@@ -72,6 +72,7 @@ def test_event_timer_frames_have_their_own_stamps_and_the_timer_reveals_gaps(tmp
     assert "stamp of the frame" in recording.header.channels[0].time_source
 
 
+@pytest.mark.system
 def test_an_interface_clock_is_converted_to_the_host_clock(tmp_path, bus_name):
     """Stamps count from power-up and are 300 ppm fast; from bus to curve, samples latched by one SYNC stay a pair."""
     motion = simulate_motion(ideal, SimulatedRun(torque=5.0, turns=3, samples_per_turn=96))

@@ -121,6 +121,7 @@ def foreign(bus_name):
 
 
 @pytest.mark.parametrize(("command", "said"), [(0x02, "stopped"), (0x80, "pre-operational")])
+@pytest.mark.system
 def test_nodes_that_another_program_silences_are_reported_and_the_next_sample_is_marked(
     tmp_path, bus_name, command, said
 ):

@@ -309,6 +309,7 @@ def test_a_monitor_that_lacks_the_quantity_is_refused(tmp_path, keys, said):
         read_bench(wiring(tmp_path / "BENCH.toml", port, x=simplefoc_keys(**keys)))
 
 
+@pytest.mark.system
 def test_more_columns_than_stated_are_no_reading(tmp_path, simplefoc):
     keys = simplefoc_keys(quantity="position", side="motor", variables=["velocity", "angle"])
     begun = time.monotonic()
@@ -317,6 +318,7 @@ def test_more_columns_than_stated_are_no_reading(tmp_path, simplefoc):
     assert time.monotonic() - begun < 5.0
 
 
+@pytest.mark.system
 def test_lost_lines_of_a_monitor_are_counted_and_marked(tmp_path):
     """Without a number or a clock, by the usual interval: as exactly as a busy machine stamps the lines."""
     controller, line = pty.openpty()

@@ -295,6 +295,7 @@ def test_the_report_of_a_full_disk_agrees_with_the_file(tmp_path, monkeypatch):
     assert counted[-1] == held
 
 
+@pytest.mark.system
 def test_a_delay_of_the_recorder_is_not_silence_of_the_line(tmp_path):
     """The recorder is stopped for longer than the idle time; samples arrive meanwhile or afterwards."""
 

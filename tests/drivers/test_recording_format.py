@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pytest
+from common import draws
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -68,8 +69,7 @@ batches = st.lists(
 )
 
 
-@settings(max_examples=60, deadline=None)
-@given(batches)
+@draws(15, 60, 3, given_batches=batches)
 def test_a_recording_is_read_as_written(tmp_path_factory, given_batches):
     path = tmp_path_factory.mktemp("r") / "run.arrows"
     with RecordingWriter(path, HEADER) as writer:
@@ -340,6 +340,7 @@ def test_samples_of_unequal_length_are_refused():
 
 WRITE_FOREVER = """
 import sys
+sys.path.insert(0, "tests")
 from tests.drivers.test_recording_format import HEADER, NAMES, block
 from drivers.recording_format import RecordingWriter
 with RecordingWriter(sys.argv[1], HEADER) as writer:

@@ -82,6 +82,7 @@ def test_a_loop_s_budget_covers_a_monte_carlo_of_the_bench(stated):
     assert alone < 0.5 * draws
 
 
+@pytest.mark.slow(1)
 def test_the_budget_of_a_transmission_error_covers_a_monte_carlo():
     """Run-out of 1″ on the output and 30″ on the input: the figure without the rig's orders holds none of them."""
     own = {1: (6.0 * ARCSEC, 0.4), 39: (20.0 * ARCSEC, 1.0), 40: (9.0 * ARCSEC, 2.0)}

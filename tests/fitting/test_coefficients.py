@@ -62,6 +62,7 @@ def run(losses, load, *, noise=0.0, seed=1, measured=True):
     )
 
 
+@pytest.mark.slow(4)
 def test_flank_and_drags_are_found_from_runs_at_two_loads():
     """The truth is inside the intervals, from another start; what acts like the flank is named and held."""
     runs = [run(TRUE, load, noise=0.02, seed=k) for k, load in enumerate((60.0, 150.0))]

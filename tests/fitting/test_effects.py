@@ -77,6 +77,7 @@ def test_the_errors_are_ranked_by_what_the_transmission_error_loses_without_them
     }
 
 
+@pytest.mark.slow(1)
 def test_amplitude_and_angle_of_an_order_are_those_it_was_made_with(measured, nominal, made):
     found = fitting.identify(measured(2), Drive(nominal))
     truth = surface_of_pair(made)

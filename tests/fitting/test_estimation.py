@@ -368,6 +368,7 @@ def test_every_pin_and_tooth_by_itself(nominal, tmp_path):
         report(found, tmp_path / "fit.pdf")
 
 
+@pytest.mark.slow(2)
 def test_what_bench_runs_lack_is_said(simple, nominal):
     made, _ = simple
     generator = np.random.default_rng(13)

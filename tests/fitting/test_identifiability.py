@@ -43,6 +43,7 @@ def test_what_is_kept_back(measured):
     assert kept_back(six[:2]) == ()
 
 
+@pytest.mark.slow(2)
 def test_encoder_eccentricity_is_the_bench_s(measured, nominal, made):
     """Once a turn of the output belongs to no gear error, once a turn of the crank nearly so."""
     curves = measured(5)

@@ -146,6 +146,7 @@ def test_a_fitted_drive_that_is_tilted_beyond_the_first_order_has_the_note():
     assert note.startswith("The gear's axis is tilted by 1")
 
 
+@pytest.mark.slow(2)
 def test_each_recording_s_own_zero_and_a_bench_without_index(measured, nominal, made):
     zeros = (3e-4, -2e-4, 1e-4, 5e-5)
     curves = measured(2, zeros=zeros, crank=0.02, common_zero=False, known_index=False)

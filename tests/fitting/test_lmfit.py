@@ -113,6 +113,7 @@ def test_an_error_tied_to_another_is_recovered_and_its_interval_scales(given, pl
     assert errors[OF].stderr == pytest.approx(np.sqrt(covariance[at, at]) * scale[at], rel=0.05)
 
 
+@pytest.mark.slow(1)
 def test_of_two_errors_with_opposite_effects_one_takes_what_the_other_is_held_at(given, plain, runs, drive):
     """Isometric modification and pin radius: only one combination of them shows (docs/theory/errors.md)."""
     shown = of(plain, "pin_radius").value
@@ -127,6 +128,7 @@ def test_of_two_errors_with_opposite_effects_one_takes_what_the_other_is_held_at
     assert abs(abs(one.value) - 1.5e-6) < 0.3 * one.standard_error
 
 
+@pytest.mark.slow(1)
 def test_what_is_held_on_the_bench_is_as_stated(given, runs, drive):
     values = {"chain_compliance": 2e-9, "friction_torque": 0.0}
     held = changed(given, **{name: {"value": value, "vary": False} for name, value in values.items()})

@@ -132,6 +132,7 @@ def test_the_play_and_its_derivatives_are_those_of_the_contact_model(made):
         assert slope == pytest.approx((ends[1] - ends[0]) / 2e-8, rel=1e-3, abs=1e-3)
 
 
+@pytest.mark.slow(1)
 def test_a_loop_whose_friction_grows_with_load_tells_the_play(measured, nominal, made):
     """Constant friction would put the growth into errors; the interval would be as small, and false."""
     curves = measured(1, each=12, zeros=(3e-4, -2e-4, 1e-4, 5e-5), common_zero=False)

@@ -75,6 +75,7 @@ def steady(play, thresholds):
     return dict(zip(NAMES, np.array([loss, loss - width, lost, STIFFNESS / ARCMIN**2]) * ARCMIN, strict=True))
 
 
+@pytest.mark.parametrize("seeds", [4, pytest.param(16, marks=pytest.mark.slow(1))])
 @pytest.mark.parametrize("drift", [0.0, 0.3, -0.3])
 @pytest.mark.parametrize(
     "thresholds", [COULOMB, pytest.param(SPREAD, marks=pytest.mark.slow(2))], ids=["Coulomb", "Maxwell slip"]
@@ -89,11 +90,11 @@ def steady(play, thresholds):
     ],
     ids=len,
 )
-def test_a_drift_is_taken_off_and_the_intervals_hold_the_truth(lobes, thresholds, drift):
+def test_a_drift_is_taken_off_and_the_intervals_hold_the_truth(lobes, thresholds, drift, seeds):
     """95 % intervals over seeds; a drift of 0.3′ moved the hysteresis loss of a single loop by 0.15′, 15 of its own."""
     torque = swung(lobes)
     windup, truth = wound(torque, 0.5, thresholds), steady(0.5, thresholds)
-    inside, seeds = dict.fromkeys(NAMES, 0), 16
+    inside = dict.fromkeys(NAMES, 0)
     for seed in range(seeds):
         found, _ = figures(torque, windup, drift, seed=seed)
         assert any("the windup drifts by" in note for note in found.notes) == bool(drift)

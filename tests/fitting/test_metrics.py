@@ -3,8 +3,7 @@ import json
 
 import numpy as np
 import pytest
-from common import study_size
-from hypothesis import given, settings
+from common import draws, study_size
 from hypothesis import strategies as st
 
 import fitting
@@ -58,8 +57,10 @@ def figures_from(torque, angle, rated=167.0, ratio=None, crank=0.0):
     return figures_of([survey(made, ratio, rated)], ratio, rated)
 
 
-@settings(max_examples=25)
-@given(
+@draws(
+    8,
+    25,
+    3,
     rated=st.floats(5, 3000),
     windup=st.floats(0.5, 6),
     play=st.floats(0.01, 3),
@@ -116,8 +117,8 @@ def test_with_noise_the_figures_lie_within_their_uncertainty(crank):
 def test_what_is_not_known_of_the_clocks_is_in_the_loops_uncertainty():
     """A torque that comes d late opens the unloading branches by 2 d (dT/dt) / k; a stiffness and a mean stay."""
     rated, stiffness, play, friction = 167.0, 49 / ARCMIN, 0.6 * ARCMIN, 2.0
-    torque, angle = loop(rated, stiffness, play, friction, loops=2, each=2000)
-    made = recording(np.arange(torque.size) * 1e-2, 0.0, angle, torque)
+    torque, angle = loop(rated, stiffness, play, friction, loops=2, each=500)
+    made = recording(np.arange(torque.size) * 4e-2, 0.0, angle, torque)
     late = 0.1
     opened = 2 * late * (rated / 20.0) / stiffness
     shifted = np.interp(made.time + late, made.time, torque)
@@ -237,7 +238,9 @@ KNEES = [(0.2, 0.4), (0.4, 0.4), (0.4, 0.2), (0.1, 0.5), (0.3, 0.0), (0.6, 0.1)]
 
 
 @pytest.mark.parametrize(("knee", "friction"), KNEES)
-@pytest.mark.parametrize("each", [300, 1000, pytest.param(4000, marks=pytest.mark.slow(1))])
+@pytest.mark.parametrize(
+    "each", [pytest.param(300, marks=pytest.mark.slow(0)), 1000, pytest.param(4000, marks=pytest.mark.slow(1))]
+)
 def test_the_lost_motion_of_a_round_knee_is_that_at_three_percent(knee, friction, each):
     """Of 20 N·m rated torque and 6′ of play. A line through 2 to 4 % made 6.01 ± 0.24 of 6.32′ in the first one."""
     for loops in (1, 2):
@@ -250,7 +253,7 @@ def test_the_lost_motion_of_a_round_knee_is_that_at_three_percent(knee, friction
 
 @pytest.mark.parametrize(("knee", "friction"), KNEES)
 @pytest.mark.parametrize("noise", [0.001, 0.02, 0.3])
-@pytest.mark.parametrize("seeds", [4, pytest.param(max(10, SEEDS), marks=pytest.mark.slow(1))])
+@pytest.mark.parametrize("seeds", [1, pytest.param(max(10, SEEDS), marks=pytest.mark.slow(1))])
 def test_the_interval_of_a_round_knee_contains_its_lost_motion(knee, friction, noise, seeds, record_property):
     """With noise of so many minutes of arc; two loops, so that no scatter of loops widens the interval."""
     inside = 0
@@ -262,6 +265,7 @@ def test_the_interval_of_a_round_knee_contains_its_lost_motion(knee, friction, n
     assert inside >= 0.95 * seeds - 4.0 * np.sqrt(0.05 * 0.95 * seeds)
 
 
+@pytest.mark.slow(1)
 def test_a_note_on_friction_says_what_is_so():
     """Inside the friction band is a load below the friction; a knee that reaches the load is called a knee."""
     for knee, friction in KNEES:
@@ -277,7 +281,7 @@ def test_a_note_on_friction_says_what_is_so():
 )
 def test_a_load_that_shakes_is_noted_against_its_mean_and_the_rated_torque(around, by, said):
     """From a tenth of either on, by its standard deviation; around little there is no share of the mean."""
-    made = run_with(KNOWN, turns=1, each=9000, noise=0.0, seed=1)
+    made = run_with(KNOWN, turns=1, each=2000, noise=0.0, seed=1)
     shaken = dataclasses.replace(made, torque=around + by * np.sin(made.input_angle / 3.0))
     notes = figures_of([survey(shaken, -39.0, 200.0)], -39.0, 200.0).notes
     assert any("the torque varies by" in note for note in notes) == said
@@ -433,7 +437,10 @@ KNOWN = {k: (a * ARCSEC, p) for k, (a, p) in KNOWN.items()}
 FINE = np.linspace(0, 2 * np.pi, 200000)
 
 
-@pytest.mark.parametrize(("turns", "each", "highest"), [(3.2, 9999.7, 1560), (1.0, 8192, 1560), (2.0, 4000, 40)])
+@pytest.mark.parametrize(
+    ("turns", "each", "highest"),
+    [(3.2, 9999.7, 1560), pytest.param(1.0, 8192, 1560, marks=pytest.mark.slow(1)), (2.0, 4000, 40)],
+)
 @pytest.mark.parametrize("seeds", [3, pytest.param(SEEDS, marks=pytest.mark.slow)])
 def test_known_orders_come_back_within_their_uncertainty(turns, each, highest, seeds, record_property):
     """Points that hold uneven numbers of samples at uneven angles, one turn and several.
@@ -499,9 +506,10 @@ def test_each_way_of_the_crank_has_its_own_range():
     assert found.interval == pytest.approx((0.0, 2.0 * np.pi))
 
 
+@pytest.mark.slow(1)
 def test_what_the_angles_clocks_may_run_apart_in_a_turn_is_in_the_uncertainty():
     """Clocks known to 50 µs at either end: twice that, at the output's speed, over the turns that were averaged."""
-    made = run_with(KNOWN, turns=3, each=9000, noise=0.0, seed=1)
+    made = run_with(KNOWN, turns=3, each=4000, noise=0.0, seed=1)
     speed = float(np.ptp(made.output_angle) / np.ptp(made.time))
     sure, unsure = (
         figures_of([survey(dataclasses.replace(made, alignment=a), -39.0, None)], -39.0, None).figures
@@ -564,7 +572,7 @@ def ramp_of_speed(turns=26.0, samples=6400):
 
 
 @pytest.mark.parametrize("ratio", [None, -13, 13])
-@pytest.mark.parametrize("gap", [False, True])
+@pytest.mark.parametrize("gap", [False, pytest.param(True, marks=pytest.mark.slow(0))])
 @pytest.mark.parametrize("stuck", [False, True])
 def test_an_output_that_turns_has_no_figure_without_the_angle_of_the_input(command, tmp_path, ratio, gap, stuck):
     """Neither without a column for it nor with an encoder that is not connected: no loop, and no transmission error."""

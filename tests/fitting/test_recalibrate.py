@@ -175,7 +175,7 @@ def test_the_figures_are_those_of_the_drive():
     assert found.standard_error == pytest.approx(slope * 1e-7, rel=1e-2)
 
 
-@pytest.mark.parametrize("what", ["a broken pin", "another drive"])
+@pytest.mark.parametrize("what", ["a broken pin", pytest.param("another drive", marks=pytest.mark.slow(1))])
 def test_what_is_not_wear_raises_the_alarm(case, result, what):
     drive, values, scatter, joint, _ = case
     pair, generator = drive.pair, np.random.default_rng(11)
@@ -222,6 +222,7 @@ def test_bearings_are_found_with_the_wear(case, tmp_path):
     assert figures_of(again.posterior)["backlash"].value == pytest.approx(now["backlash"].value, rel=1e-12)
 
 
+@pytest.mark.slow(3)
 def test_clearances_do_not_fall_below_zero(case):
     """A smaller lost motion than was known is taken from the gear pair where bearings have no clearance."""
     drive = on_cranks(case[0], 2e8)

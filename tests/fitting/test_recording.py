@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from common import draws
 from hypothesis import example, given
 from hypothesis import strategies as st
 
@@ -44,7 +45,7 @@ def test_units_of_the_header_become_si(tmp_path):
     assert found.torque == pytest.approx([1e3, 2e3])
 
 
-@given(turns=st.integers(1, 5), forwards=st.booleans(), start=st.floats(0, 6.28))
+@draws(20, 100, 1, turns=st.integers(1, 5), forwards=st.booleans(), start=st.floats(0, 6.28))
 def test_an_angle_recorded_within_one_turn_is_continuous(tmp_path_factory, turns, forwards, start):
     angle = start + (1 if forwards else -1) * np.linspace(0, 2 * np.pi * turns, 40 * turns)
     rows = [f"{i},{a % (2 * np.pi):.12f},0,1" for i, a in enumerate(angle)]

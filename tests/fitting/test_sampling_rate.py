@@ -64,6 +64,7 @@ def test_coverage_of_every_sampling(small, record_property):
         assert 1.96 * np.abs(found).max() < 5.0, (each, turns)
 
 
+@pytest.mark.slow(1)
 def test_a_zero_that_creeps_over_turns_out_of_step_is_no_noise(small):
     """10″ over four turns, of which every angle sees another part."""
     generator = np.random.default_rng(5)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from common import draws
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -85,15 +86,17 @@ def read(path):
 numbers = st.floats(-1e9, 1e9, allow_nan=False).map(float)
 
 
-@settings(max_examples=60, deadline=None)
-@given(
-    st.lists(st.tuples(st.integers(2, 40), st.integers(1, 3), st.integers(1, 20)), min_size=1, max_size=4),
-    st.sampled_from([("\t", "."), ("\t", ","), (";", ","), (";", "."), (":", "."), (",", ".")]),
-    st.sampled_from(["\n", "\r\n"]),
-    st.sampled_from(["utf-8", "utf-8-sig", "cp1252", "utf-16"]),
-    st.booleans(),
-    st.booleans(),
-    st.data(),
+@draws(
+    15,
+    60,
+    2,
+    shapes=st.lists(st.tuples(st.integers(2, 40), st.integers(1, 3), st.integers(1, 20)), min_size=1, max_size=4),
+    marks=st.sampled_from([("\t", "."), ("\t", ","), (";", ","), (";", "."), (":", "."), (",", ".")]),
+    ends=st.sampled_from(["\n", "\r\n"]),
+    encoding=st.sampled_from(["utf-8", "utf-8-sig", "cp1252", "utf-16"]),
+    blank=st.booleans(),
+    eof=st.booleans(),
+    data=st.data(),
 )
 def test_what_scope_writes_is_read_back(tmp_path_factory, shapes, marks, ends, encoding, blank, eof, data):
     delimiter, decimal = marks

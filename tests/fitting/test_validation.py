@@ -16,7 +16,7 @@ from fitting.reports.report import report
 
 # Of the first the fit once held seven errors, whose part the scatter and the centre distances took: 24 standard errors.
 # The second's supports seemed to give way, the third's zeros to creep.
-QUICK = {"none": 2, "flank form 1 µm": 0}
+QUICK = [("none", 2), pytest.param("flank form 1 µm", 0, marks=pytest.mark.slow(2))]
 # Where supports give way, undetected forms of the flanks looked like eccentricities of 5 standard errors, and in the
 # third drive a form of 4.6 standard errors took the place of displacements.
 MIXTURE = [pytest.param("a realistic mixture", seed, marks=pytest.mark.slow(6)) for seed in (4, 15, 10)]
@@ -34,7 +34,7 @@ def floating(small):
     return identified("disc and cranks on bearings", small, 0, turns=1)[0]
 
 
-@pytest.mark.parametrize(("effect", "seed"), [*QUICK.items(), SOFT_CHAIN, PLAY, *MIXTURE])
+@pytest.mark.parametrize(("effect", "seed"), [*QUICK, SOFT_CHAIN, PLAY, *MIXTURE])
 def test_a_cause_is_named_and_the_intervals_allow_for_it(effect, seed):
     one = outcome(effect, seed)
     assert is_right(one)
@@ -61,6 +61,7 @@ def test_an_error_that_is_held_widens_those_that_do_nearly_the_same(small):
     assert stated["pin_radial_2_cos"].standard_error < 0.5e-6
 
 
+@pytest.mark.slow(7)
 def test_a_drive_on_bearings_is_not_explained_by_rigid_supports(floating):
     verdict = floating.verdict
     assert verdict.state == "not explained"
@@ -90,6 +91,7 @@ def test_causes_that_leave_no_fit_leave_the_one_before(small, monkeypatch, probl
     assert all(math.isnan(end) for p in found.parameters if p.held is None for end in p.interval)
 
 
+@pytest.mark.slow(0)
 def test_the_verdict_comes_first(floating, tmp_path):
     sentence = floating.verdict.sentence
     assert sentence.startswith("Not explained: ")
@@ -105,6 +107,7 @@ def test_the_verdict_comes_first(floating, tmp_path):
     assert "withheld" in text
 
 
+@pytest.mark.slow(2)
 def test_the_noise_of_the_fit_is_no_yardstick(small):
     """The load kept back leaves several times the noise between its orders; the fit calls all of it noise."""
     found, _ = identified("run-out 60″, orders 2 and 3", small, 0)

@@ -251,7 +251,7 @@ def test_a_motor_inside_stops_in_its_friction_without_chattering(joint, kind):
     assert np.abs(speeds[-20:]).max() < 1e-3
 
 
-@pytest.mark.parametrize("version", ["2.0", "3.0"])
+@pytest.mark.parametrize("version", [pytest.param("2.0", marks=pytest.mark.slow(1)), "3.0"])
 def test_a_joint_with_both_inertias_is_described_and_a_kinematic_one_has_none(drive, tmp_path, version):
     path = tmp_path / "joint.fmu"
     interface = Interface("compliant", ARM, crank_inertia=MOTOR)

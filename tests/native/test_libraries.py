@@ -68,6 +68,7 @@ def elsewhere(tmp_path, monkeypatch):
 
 
 @needs("cc")
+@pytest.mark.system
 def test_elsewhere_the_library_is_compiled_once(elsewhere, monkeypatch):
     path = library_path(elsewhere)
     assert library.source_hash().encode() in path.read_bytes()
@@ -81,6 +82,7 @@ def test_elsewhere_the_library_is_compiled_once(elsewhere, monkeypatch):
 
 @needs("cc")
 @pytest.mark.skipif(os.name == "nt", reason="needs a path that can't be a folder")
+@pytest.mark.system
 def test_elsewhere_it_is_compiled_where_no_cache_can_be_written(elsewhere, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", os.devnull)
     assert library.source_hash().encode() in library_path(elsewhere).read_bytes()

@@ -1125,7 +1125,7 @@ def test_a_file_of_tables_is_read_as_it_was_written(drive, unpacked, host, tmp_p
 # --- the archive ---
 
 
-@pytest.mark.parametrize("version", ["2.0", "3.0"])
+@pytest.mark.parametrize("version", [pytest.param("2.0", marks=pytest.mark.slow(1)), "3.0"])
 @pytest.mark.parametrize("kind", list(BUILT))
 def test_validation_finds_nothing(built, kind, version):
     assert validate_fmu(str(built(kind, version))) == []
@@ -1147,7 +1147,7 @@ STRICT = ("-Wall", "-Wextra", "-pedantic", "-Wconversion", "-Wsign-conversion", 
     "compiler",
     [
         COMPILER,
-        pytest.param(("clang",), marks=needs("clang")),
+        pytest.param(("clang",), marks=[needs("clang"), pytest.mark.slow(2)]),
         pytest.param(zig("x86_64-windows"), marks=pytest.mark.slow(10), id="zig for Windows"),
     ],
 )

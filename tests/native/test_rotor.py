@@ -169,7 +169,7 @@ def native_builder(drive, folder, version):
     [
         ("steel-move", "3.0"),
         pytest.param("steel-move", "2.0", marks=pytest.mark.slow(15)),
-        ("light-move", "2.0"),
+        pytest.param("light-move", "2.0", marks=pytest.mark.slow(1)),
         pytest.param("steel-free", "3.0", marks=pytest.mark.slow(15)),
     ],
 )

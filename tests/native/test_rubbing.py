@@ -321,7 +321,7 @@ def test_a_motor_outside_stops_and_stands(opened, kind, step, late):
     assert np.abs(speeds[-100:]).max() < 1e-5
 
 
-@pytest.mark.parametrize("share", [pytest.param(0.64, marks=pytest.mark.slow(3)), 0.99, 1.01])
+@pytest.mark.parametrize("share", [*(pytest.param(one, marks=pytest.mark.slow(3)) for one in (0.64, 0.99)), 1.01])
 def test_a_load_below_breakaway_is_held_without_creep(opened, share):
     """Motor and arm inside, the motor's torque raised to a share of its breakaway, then 100 s."""
     found = opened(
