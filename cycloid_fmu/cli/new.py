@@ -39,7 +39,9 @@ def new(
     ] = None,
     life: Annotated[
         float | None,
-        commands.quantity_option("s", 'Least L10 life of the eccentric bearing, such as "5000 h".', show_default="any"),
+        commands.quantity_option(
+            "s", "Least L10 life of the eccentric bearing.", show_default="any", metavar='"5000 h"'
+        ),
     ] = None,
     crank_speed: Annotated[
         float, commands.quantity_option("rad/s", "Speed of the crank, for this life.", show_default="1000 rpm")

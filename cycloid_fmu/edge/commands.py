@@ -363,7 +363,8 @@ def quantity_option(si: str, help: str, *names: str, **settings: Any) -> Any:
             raise _Refused(text, str(problem)) from None
 
     parse.__name__ = "quantity"
-    return typer.Option(*names, parser=parse, metavar=f'"{EXAMPLES.get(si, f"1 {si}")}"', help=help, **settings)
+    shown_as = {"metavar": f'"{EXAMPLES.get(si, f"1 {si}")}"', **settings}
+    return typer.Option(*names, parser=parse, help=help, **shown_as)
 
 
 def ratio_option(help: str = "") -> Any:

@@ -399,6 +399,11 @@ def _notes(wish: Wish) -> list[str]:
         "A first drive: sizes by rules, modification and face width by the search of `design`"
         + ("; bodies are elastic." if wish.bodies else "; its bodies are rigid, so the real drive is softer."),
     ]
+    if wish.life is not None:
+        rpm = wish.crank_speed * 30.0 / math.pi
+        notes.append(f"Wished: an L10 life of the eccentric bearing of {wish.life / 3600.0:.4g} h at {rpm:.4g} rpm.")
+    elif wish.output == "gear":
+        notes.append("No life was wished for: the eccentric bearing is the largest that fits, however long it lives.")
     if wish.ring == "conjugate":
         notes.append(
             "Ring without pins: in the model its arcs are fixed pins of the discs' material; between them it must stay "
@@ -670,13 +675,6 @@ def _with_output(
         "Rigid here, because nothing is known of them: crank shaft and its bearings, main bearing, pin seats.",
         "Assumed: pins lie in the ring over their width, output pins are held at both ends.",
     ]
-    if wish.life is None:
-        notes.append(
-            "No life was wished for, so the eccentric bearing is the largest that fits, however long it lives."
-        )
-    else:
-        lives = f"at least {wish.life / 3600.0:.4g} h at {wish.crank_speed * 30.0 / math.pi:.4g} rpm"
-        reasons["supports.turning_arm"] += f"; L10 of {lives}"
     if losses is None:
         notes.append(
             f"Efficiency and torques from rest are not known: no friction of {wish.material} on "
