@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -393,6 +393,11 @@ class Bodies(Config):
         for name in type(self).model_fields:
             if isinstance(body := getattr(self, name), ElasticBody):
                 yield name, body
+
+    def of_files(self, files: Mapping[str, Sequence[str]]) -> Bodies:
+        """Return the same bodies by the files of their matrices, under their keys in `[bodies]`."""
+        kinds = {name: type(body) for name, body in self.stated()}
+        return Bodies(**{n: kinds[n](matrix=each[0] if len(each) == 1 else tuple(each)) for n, each in files.items()})
 
     def in_folder(self, folder: Path) -> Bodies:
         """Return the bodies with the names of their files relative to a folder."""

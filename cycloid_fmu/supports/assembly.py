@@ -198,16 +198,6 @@ def is_elastic(pair: Pair) -> bool:
     return supports is not None and (pair.bodies is not None or supports.pin_seat.kind is not None)
 
 
-def check_rigid(pair: Pair, what: str) -> None:
-    """Raise an `edge.InputError` if a pair has elastic bodies, which a computation does not take into account."""
-    if is_elastic(pair):
-        stated = "[bodies]" if pair.bodies is not None else '[supports.pin_seat] kind = "half_shell"'
-        raise edge.InputError(
-            f"the pair states {stated}, which {what} does not take into account yet; remove it to compute with rigid "
-            "bodies and linear seats."
-        )
-
-
 @functools.lru_cache(maxsize=64)
 def as_drawn(pair: Pair) -> Pair:
     """Return what the elastic bodies of a pair depend on: it, without errors, temperatures, losses and modification."""
