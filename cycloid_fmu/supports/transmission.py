@@ -204,7 +204,7 @@ def _solve(
     for k, torque in enumerate(torques):
         if not solutions.steps[k].all():
             unsolved = int(np.argmin(solutions.steps[k]))
-            raise _unbalanced(torque[unsolved], angles[unsolved])
+            raise unbalanced(torque[unsolved], angles[unsolved])
 
 
 def with_own_discs(mesh: Problem) -> Problem:
@@ -224,7 +224,7 @@ def _lines_of(lines: ContactLines, load: int, angles: slice) -> ContactLines:
     )
 
 
-def _unbalanced(torque: float, crank_angle: float) -> edge.InputError:
+def unbalanced(torque: float, crank_angle: float) -> edge.InputError:
     return transmission.UnbalancedError(
         f"torque = {torque:g} N*m: the drive can't balance it at a crank angle of {crank_angle:.6g} rad; give a "
         "smaller one."
@@ -358,6 +358,6 @@ def sensitivity(drive: DriveValue, torque: Array, crank_angle: Array, slices: in
         Derivatives(by_displacement, by_joint, by_angle, by_torque),
         work_of(assembly),
     ):
-        raise _unbalanced(float(at_angles[0]), angles[0])
+        raise unbalanced(float(at_angles[0]), angles[0])
     laws = add_by_displacements(pair, by_joint, by_displacement)
     return Sensitivity(solutions.coordinates[0, :, 0].copy(), by_displacement, by_angle, by_torque, laws)
