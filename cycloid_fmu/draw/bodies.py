@@ -66,11 +66,11 @@ def plot_disc(
     axes[0].set_title(f"{len(mesh.triangles)} triangles, {elastic.unknowns} unknowns")
     assert pair.supports is not None
     unit = DiscForces(1.0 * (np.arange(pair.pins) == pin), np.zeros((pair.supports.cranks, 2)), np.zeros(0))
-    _draw_displaced(axes[1], pair, body, elastic, disc, crank_angle, unit, 1e9)
-    axes[1].set_title(f"{axes[1].get_title()} under 1 N of pin {pin}")
+    factor = _draw_displaced(axes[1], pair, body, elastic, disc, crank_angle, unit, 1e9)
+    axes[1].set_title(f"displacement under 1 N, {factor:.2g} times enlarged")
     if forces is not None:
-        _draw_displaced(axes[2], pair, body, elastic, disc, crank_angle, forces, 1e6)
-        axes[2].set_title(f"{axes[2].get_title()} under its whole load, pins up to {forces.pin.max():.3g} N")
+        factor = _draw_displaced(axes[2], pair, body, elastic, disc, crank_angle, forces, 1e6)
+        axes[2].set_title(f"under all forces, pins up to {forces.pin.max():.3g} N, {factor:.2g} times enlarged")
     for axis in axes:
         axis.set_aspect("equal")
         axis.grid(visible=False)
@@ -87,8 +87,8 @@ def _draw_displaced(
     crank_angle: float,
     forces: DiscForces,
     scale: float,
-) -> None:
-    """Draw a disc displaced by forces, enlarged; `scale` is 1e9 for colours in nm, 1e6 for µm."""
+) -> float:
+    """Draw a disc displaced by forces, and return how many times enlarged; `scale` of colours is 1e9 (nm) or 1e6 (µm)."""
     from cycloid_fmu.bodies.disc import nodal_forces
 
     moved = elastic.displacement(nodal_forces(elastic, pair, body, disc, crank_angle, forces)[:, None])
@@ -103,8 +103,8 @@ def _draw_displaced(
         outline = mesh.nodes[np.append(chain, chain[0])] * 1e3
         axis.plot(outline.real, outline.imag, color="#345", linewidth=0.4)
     _draw_forces(axis, pair, body, disc, crank_angle, forces)
-    axis.set_title(f"× {factor:.2g}")
     axis.figure.colorbar(colours, ax=axis, label="nm" if scale == 1e9 else "µm")
+    return float(factor)
 
 
 def _draw_forces(
