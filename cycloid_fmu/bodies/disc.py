@@ -131,8 +131,8 @@ def nodal_forces(
     crank = crank_angle + 2.0 * math.pi * disc / pair.discs
     loaded = np.flatnonzero(forces.pin > 1e-3 * forces.pin.max())
     alpha = (2.0 * np.pi * loaded / pair.pins + crank / pair.gear_teeth) % (2.0 * np.pi)
-    place, normal = outline.flank_at(pair, disc, alpha)
-    pressed = patch(elastic, 0, place, 1j * normal, PATCH * pair.pin_radius) @ (-normal * forces.pin[loaded])
+    flank, normal = outline.flank_at(pair, disc, alpha)
+    pressed = patch(elastic, 0, flank, 1j * normal, PATCH * pair.pin_radius) @ (-normal * forces.pin[loaded])
     bores = outline.bores(pair, body, 96)
     if forces.roller.size > 0:
         assert body.roller_hole_radius is not None

@@ -94,7 +94,7 @@ def loaded_contacts(drive: contact.Problem, crank_angle: Array, torque: float) -
     contact.sweep_contacts(drive, crank_angle, torque, transmission_error, table)
     check_balance(torque, np.array([contact.carried(rows) for rows in table]))
     still = np.zeros((crank_angle.size, drive.crank_phase.size))
-    return contacts_of(drive, crank_angle, transmission_error, still + 0j, still, table)
+    return contacts_of(drive, crank_angle, transmission_error, still.astype(np.complex128), still, table)
 
 
 def contacts_of(

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 
     from cycloid_fmu.bodies.disc import DiscForces
     from cycloid_fmu.bodies.elastic import PlaneBody
-    from cycloid_fmu.bodies.mesh import Array
     from cycloid_fmu.geometry.bodies import DiscBody
     from cycloid_fmu.geometry.pair import Pair
 
@@ -88,7 +87,9 @@ def _draw_displaced(
     forces: DiscForces,
     scale: float,
 ) -> float:
-    """Draw a disc displaced by forces, and return how many times enlarged; `scale` of colours is 1e9 (nm) or 1e6 (µm)."""
+    """Draw a disc displaced by forces; return the enlargement. `scale` of colours is 1e9 for nm, 1e6 for µm."""
+    from matplotlib.tri import Triangulation
+
     from cycloid_fmu.bodies.disc import nodal_forces
 
     moved = elastic.displacement(nodal_forces(elastic, pair, body, disc, crank_angle, forces)[:, None])
@@ -97,7 +98,7 @@ def _draw_displaced(
     factor = _LARGEST * pair.pin_circle_radius / size.max()
     shape = (mesh.nodes + factor * displacement) * 1e3
     colours = axis.tripcolor(
-        shape.real, shape.imag, mesh.triangles, size * scale, shading="gouraud", cmap="viridis"
+        Triangulation(shape.real, shape.imag, mesh.triangles), size * scale, shading="gouraud", cmap="viridis"
     )
     for chain in mesh.chains:
         outline = mesh.nodes[np.append(chain, chain[0])] * 1e3
@@ -107,9 +108,7 @@ def _draw_displaced(
     return float(factor)
 
 
-def _draw_forces(
-    axis: Axes, pair: Pair, body: DiscBody, disc: int, crank_angle: float, forces: DiscForces
-) -> None:
+def _draw_forces(axis: Axes, pair: Pair, body: DiscBody, disc: int, crank_angle: float, forces: DiscForces) -> None:
     """Draw forces on a disc as arrows, the longest of pins and rollers, and of arms, alike."""
     from cycloid_fmu.bodies import outline
     from cycloid_fmu.bodies.disc import SECTORS
@@ -123,13 +122,13 @@ def _draw_forces(
     inwards = -np.exp(1j * (crank + crank_angle / pair.gear_teeth))
     at_rollers = outline.places(pair)[: forces.roller.size] + (body.roller_hole_radius or 0.0) * inwards
     longest = 1e3 * _LONGEST * pair.pin_circle_radius
-    for place, force, ends in (
+    for points, force, ends in (
         (flank, -normal * forces.pin, True),
         (at_rollers, inwards * forces.roller, False),
         (centres, forces.arm @ np.asarray(along), False),
     ):
         largest = np.abs(force).max(initial=0.0)
-        for at, vector in zip(place * 1e3, force, strict=True):
+        for at, vector in zip(points * 1e3, force, strict=True):
             if abs(vector) > 0.02 * largest:
                 arrow = longest * vector / largest
                 tail, head = (at - arrow, at) if ends else (at, at + arrow)

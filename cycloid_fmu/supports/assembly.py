@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cycloid_fmu import edge
 from cycloid_fmu.bodies.matrices import BodyMatrices, matrices_of
 from cycloid_fmu.errors.kinds import EACH_SUPPORT
 from cycloid_fmu.geometry import supports as stated

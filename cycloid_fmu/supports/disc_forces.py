@@ -34,7 +34,9 @@ def disc_forces(drive: DriveValue, torque: float, crank_angle: float, disc: int 
     assert work.ports is not None
     influence, forces = elastic.influence, np.zeros(len(elastic.influence.fixed))
     np.add.at(forces, work.ports.ports["slot"], work.ports.ports["force"])
-    pins, arms, rollers = np.split(forces[: len(forces) - 2 * influence.arms], [influence.arms_slot, influence.rollers_slot])
+    pins, arms, rollers = np.split(
+        forces[: len(forces) - 2 * influence.arms], [influence.arms_slot, influence.rollers_slot]
+    )
     return DiscForces(
         pins.reshape(pair.discs, -1)[disc],
         arms.reshape(pair.discs, influence.arms, influence.sectors)[disc],

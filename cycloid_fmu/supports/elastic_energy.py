@@ -75,7 +75,6 @@ def turn_ports(
     centring: float,
     contacts: Rows,
     work: Work,
-    ports: Any,
     by_angle: Array,
 ) -> float:
     """Add the derivatives by θ of the balance of all ports at fixed unknowns; return those of their energy, N·m.
@@ -85,6 +84,7 @@ def turn_ports(
     """
     if elastic is None:
         return 0.0
+    ports: Any = work.ports
     write_rates(elastic, ports)
     turning, n = -rate_of_energy(elastic.influence, ports.moving, ports.of_slots), ports.counts[0]
     right = ports.right
@@ -108,9 +108,7 @@ def turn_ports(
 
 
 @compiled
-def _turn_pin(
-    problem: Problem, crank_angle: float, contacts: Rows, row: int, work: Work, by_angle: Array
-) -> float:
+def _turn_pin(problem: Problem, crank_angle: float, contacts: Rows, row: int, work: Work, by_angle: Array) -> float:
     """Derivative by θ of a pin's approach less that of its law; adds what turns its force."""
     contact_ = contacts[row]
     local = contact.local_frame(problem, crank_angle, work.coordinates[0], contacts, row)
@@ -119,7 +117,7 @@ def _turn_pin(
     for i in range(3):
         by_angle[first + i] += projection(motion, turned[i])
     bent = contact_.force_by_curvature / contact_.stiffness * contact_.curvature_rate * local.foot
-    return bent * projection(motion, along.slide) - projection(motion, along.gap)
+    return float(bent * projection(motion, along.slide) - projection(motion, along.gap))
 
 
 @compiled
@@ -138,9 +136,7 @@ def _approaching(assembly: Assembly, port: np.record, crank_angle: float, work: 
 
 
 @compiled
-def _turn_joint(
-    assembly: Assembly, number: int, centring: float, work: Work, ports: Ports, by_angle: Array
-) -> float:
+def _turn_joint(assembly: Assembly, number: int, centring: float, work: Work, ports: Ports, by_angle: Array) -> float:
     """Add what turns a joint's force, and its centring spring; return the energy's derivative but for the bodies."""
     joint = assembly.joints[number]
     rate = assembly.bodies[int(joint.outer)].rate

@@ -144,12 +144,12 @@ def stand(box: Held, crank_angle: float, pull: Load, rows: Rows, cold: bool, out
         return 0
     for i in range(n):
         by_energy[i] = by_angle[i] = 0.0
-    elastic, ports = assembly.elastic, work.ports
+    elastic = assembly.elastic
     of_mesh, mesh_turning, bending = _mesh(drive, assembly, crank_angle, q[0], rows, by_energy, by_angle)
     of_joints, joints_turning = _joints(assembly, pull.centring, work, by_angle)
     by_crank = mesh_turning + joints_turning
-    by_crank += turn_ports(drive, assembly, elastic, crank_angle, pull.centring, rows, work, ports, by_angle)
-    stored = of_mesh + of_joints + energy_of_ports(drive, assembly, elastic, rows, ports)
+    by_crank += turn_ports(drive, assembly, elastic, crank_angle, pull.centring, rows, work, by_angle)
+    stored = of_mesh + of_joints + energy_of_ports(drive, assembly, elastic, rows, work.ports)
     # Rows of the inverse for the carrier's rotation and for b, without the flange's spring.
     work.jacobian[0, 0] -= spring
     for i in range(n):
@@ -170,4 +170,3 @@ def stand(box: Held, crank_angle: float, pull: Load, rows: Rows, cold: bool, out
     out[BY_FLANGE], out[BY_ANGLE] = by_flange, energy_rate + by_flange / teeth
     out[CRANK_TORQUE], out[RATE], out[TORQUE] = by_crank + carried / teeth, rate - 1.0 / teeth, carried
     return steps
-

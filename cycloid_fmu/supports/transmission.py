@@ -225,6 +225,7 @@ def _lines_of(lines: ContactLines, load: int, angles: slice) -> ContactLines:
 
 
 def unbalanced(torque: float, crank_angle: float) -> edge.InputError:
+    """Return the error of a drive that has no balance at a torque (N·m) and crank angle (rad)."""
     return transmission.UnbalancedError(
         f"torque = {torque:g} N*m: the drive can't balance it at a crank angle of {crank_angle:.6g} rad; give a "
         "smaller one."

@@ -85,7 +85,9 @@ def velocities(drive: contact.Problem, contacts: LoadedContacts) -> Velocities:
     teeth = drive.teeth
     angle, disc = contacts.angle, contacts.disc
     rate = np.gradient(contacts.transmission_error, contacts.crank_angle)[angle]
-    moved, turned = (np.gradient(of, contacts.crank_angle, axis=0)[angle, disc] for of in (contacts.shift, contacts.turn))
+    moved, turned = (
+        np.gradient(of, contacts.crank_angle, axis=0)[angle, disc] for of in (contacts.shift, contacts.turn)
+    )
     ring = 1.0 / (teeth + 1) + rate if drive.ring else np.zeros(rate.size)
     gear = np.zeros(rate.size) if drive.ring else rate + turned - 1.0 / teeth
     crank = contacts.crank_angle[angle] + drive.crank_phase[disc]

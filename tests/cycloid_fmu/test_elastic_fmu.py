@@ -249,5 +249,3 @@ def test_matrices_in_files_are_those_of_the_bodies(tmp_path):
         for name in files:
             assert np.array_equal(getattr(read, name), getattr(computed, name)), name
     assert port_matrices(BodyMatrices()) == {}
-
-
