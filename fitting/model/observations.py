@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from cycloid_fmu.analysis import error_sensitivity, solve
+from cycloid_fmu.analysis import solve
 from cycloid_fmu.contact.transmission import form_sensitivity
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.errors.kinds import KINDS, kinds_of, structured_names
@@ -600,6 +600,16 @@ def _torque_at_flanks(observed: Observations, number: int, state: State) -> tupl
     return np.where(np.abs(torque) < abs(least), least, torque), against, by_torque_stated
 
 
+def _where_supports_gave_way(observed: Observations, number: int, state: State) -> tuple[ErrorSurface, Array]:
+    """Return the errors of the drive during a curve, and the crank angles of its points."""
+    surface, crank_angle = state.surface, observed.curves[number].input_angle + state.crank_offset
+    if observed.give is None:
+        return surface, crank_angle
+    *shifts, advance = observed.give[number]
+    values = {n: structured_value(surface, n) + shift for n, shift in zip(GIVES, shifts, strict=True)}
+    return with_structured(surface, values), crank_angle + advance
+
+
 def linearised_curve(
     pair: Pair, observed: Observations, number: int, state: State, around: Sequence[NearDrive] | None = None
 ) -> Linear:
@@ -609,12 +619,8 @@ def linearised_curve(
     """
     curve = observed.curves[number]
     torque, against, by_torque_stated = _torque_at_flanks(observed, number, state)
-    surface, crank = state.surface, state.crank_offset
-    if observed.give is not None:
-        *moved, advanced = observed.give[number]
-        values = {n: structured_value(surface, n) + one for n, one in zip(GIVES, moved, strict=True)}
-        surface, crank = with_structured(surface, values), crank + advanced
-    s, at = share_of(observed.first_stage, pair), curve.input_angle + crank
+    surface, at = _where_supports_gave_way(observed, number, state)
+    s = share_of(observed.first_stage, pair)
     bearings = state.bearings if state.bearings.size else np.zeros(len(observed.bearing_names))
     w, beside = np.zeros_like(torque), np.zeros_like(torque)
     if observed.first_stage is not None:
@@ -664,38 +670,36 @@ def linearised_curve(
     )
 
 
-def form_columns(pair: Pair, observed: Observations, state: State, linear: Linear, size: float) -> Array:
+def form_columns(pair: Pair, observed: Observations, state: State, size: float) -> Array:
     """Return derivatives by the `PROFILE_ORDERS` of a form that all flanks share, shape (points, orders), rad/m.
 
-    `linear` is the model at the state. On bearings, where contacts open and close with a form and the discs follow,
-    they are finite differences over ± `size`, m.
+    They are those of the model, at its displacements of the supports: near a corner of a curve those at other crank
+    angles would not balance the effect of other errors, and a form could be told from an eccentricity that looks like
+    it. On bearings, where contacts open and close with a form and the discs follow, they are finite differences over
+    ± `size`, m.
     """
     names = profile_names(PROFILE_ORDERS)
-    s = share_of(observed.first_stage, pair)
-    is_solved = observed.first_stage is None and observed.give is None
-    floating = None if pair.supports is None else pair_with(pair, state.bearings)
+    if pair.supports is None:
+        return linearise(
+            pair, dataclasses.replace(observed, errors=tuple(names), profile={}, form=None), state
+        ).structured
+    s, drive = share_of(observed.first_stage, pair), pair_with(pair, state.bearings)
 
-    def one(number: int, model: Array) -> Array:
-        curve, torque = observed.curves[number], observed.torque_of(number)
-        angle = curve.input_angle + state.crank_offset
-        torque = np.where(torque == 0.0, _LEAST_TORQUE * curve.torque, torque)
-        if floating is not None:
+    def by_form(number: int) -> Array:
+        torque, (surface, angle) = observed.torque_of(number), _where_supports_gave_way(observed, number, state)
+        torque = np.where(torque == 0.0, _LEAST_TORQUE * observed.curves[number].torque, torque)
 
-            def moved(name: str, by: float) -> Array:
-                values = {name: structured_value(state.surface, name) + by}
-                formed = with_structured(state.surface, values)
-                error: Array = solve(
-                    DriveValue(floating, formed), s * torque[None], angle, with_play=False
-                ).transmission_error[0]
-                return error
+        def moved(name: str, by: float) -> Array:
+            formed = with_structured(surface, {name: structured_value(surface, name) + by})
+            error: Array = solve(
+                DriveValue(drive, formed), s * torque[None], angle, with_play=False
+            ).transmission_error[0]
+            return error
 
-            return s * np.column_stack([(moved(n, size) - moved(n, -size)) / (2.0 * size) for n in names])
-        if is_solved:
-            return form_sensitivity(DriveValue(pair, state.surface), model, angle, names)
-        return s * error_sensitivity(DriveValue(pair, state.surface), s * torque, angle, names)[1]
+        return s * np.column_stack([(moved(n, size) - moved(n, -size)) / (2.0 * size) for n in names])
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        return np.concatenate(list(pool.map(one, range(len(observed.curves)), np.split(linear.model, observed.ends))))
+        return np.concatenate(list(pool.map(by_form, range(len(observed.curves)))))
 
 
 def linearise(pair: Pair, observed: Observations, state: State, around: Sequence[NearDrive] | None = None) -> Linear:

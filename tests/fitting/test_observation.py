@@ -7,10 +7,19 @@ import pytest
 from clockworks import kinematic_drive
 
 from cycloid_fmu.drive_value import DriveValue
+from cycloid_fmu.surfaces.structured import profile_names, with_structured
 from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.estimation.plan import planned_curve
 from fitting.model.discrepancy import RIPPLE, causes, ripple_of
-from fitting.model.observations import Discrepancy, State, linearise, observations, spread_of
+from fitting.model.observations import (
+    PROFILE_ORDERS,
+    Discrepancy,
+    State,
+    form_columns,
+    linearise,
+    observations,
+    spread_of,
+)
 
 
 @pytest.mark.parametrize("output", ["gear", "ring"])
@@ -56,6 +65,24 @@ def test_a_torque_ripple_acts_on_contacts_as_its_columns_say_and_on_the_chain(no
     assert difference == pytest.approx(columns @ coefficients, abs=1e-2 * np.abs(difference).max())
     in_chain = (moved.bench - observed.bench) @ state.bench
     assert in_chain == pytest.approx(1e-6 * ripple * observed.torque, rel=1e-12)
+
+
+def test_a_form_s_effect_is_that_of_the_model_where_supports_give_way(nominal):
+    """At the displaced supports: elsewhere corners of the curves are at other crank angles."""
+    observed = observations([planned_curve(nominal.ratio, 20.0, 1, 1.0, 24)], nominal, [1e-6])
+    observed = dataclasses.replace(observed, give=np.array([[2e-6, -1e-6, 1e-6, 5e-3]]))
+    surface = with_structured(surface_of_pair(nominal), {"pin_radial_2_cos": 3e-6, "pin_radius": -2e-6})
+    state = State(surface, np.zeros(spread_of(nominal, {}).size), np.zeros(observed.bench.shape[1]))
+    columns = form_columns(nominal, observed, state, 1e-6)
+
+    def model(name, size):
+        formed = dataclasses.replace(state, surface=with_structured(surface, {name: size}))
+        return linearise(nominal, observed, formed).model
+
+    for column, name in zip(columns.T, profile_names(PROFILE_ORDERS), strict=True):
+        difference = (model(name, 1e-8) - model(name, -1e-8)) / 2e-8
+        away = np.abs(difference - column) > 1e-2 * np.abs(column).max()
+        assert away.mean() < 0.02, "but for points in a corner"
 
 
 def test_parts_of_observations_keep_their_torque_ripple(rippled):
