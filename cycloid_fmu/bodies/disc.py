@@ -102,6 +102,54 @@ def condensed(
     return PortMatrix(kinds, index, place, direction, compliance, "free", half_width)
 
 
+@dataclass(frozen=True, eq=False)
+class DiscForces:
+    """Forces on a disc in its axes, N, each at its ideal place.
+
+    Attributes
+    ----------
+    pin
+        Of each pin, against the flank's normal, shape (pins,).
+    arm
+        Of each turning arm: by its sectors, outwards, shape (arms, `SECTORS`); or along x and y, shape (arms, 2).
+    roller
+        Of each output roller, along -û(A_j), shape (rollers,).
+    """
+
+    pin: Array
+    arm: Array
+    roller: Array
+
+
+def nodal_forces(
+    elastic: PlaneBody, pair: Pair, body: DiscBody, disc: int, crank_angle: float, forces: DiscForces
+) -> Array:
+    """Forces on all unknowns of a disc at a crank angle (rad), N, shape (unknowns,): spread as the ports of its matrix.
+
+    Forces below a thousandth of the largest of their kind are left out.
+    """
+    crank = crank_angle + 2.0 * math.pi * disc / pair.discs
+    loaded = np.flatnonzero(forces.pin > 1e-3 * forces.pin.max())
+    alpha = (2.0 * np.pi * loaded / pair.pins + crank / pair.gear_teeth) % (2.0 * np.pi)
+    flank, normal = outline.flank_at(pair, disc, alpha)
+    pressed = patch(elastic, 0, flank, 1j * normal, PATCH * pair.pin_radius) @ (-normal * forces.pin[loaded])
+    bores = outline.bores(pair, body, 96)
+    if forces.roller.size > 0:
+        assert body.roller_hole_radius is not None
+        inwards = -np.exp(1j * (crank + crank_angle / pair.gear_teeth))
+        for number in np.flatnonzero(forces.roller > 1e-3 * forces.roller.max()).tolist():
+            at = np.array([outline.places(pair)[number] + body.roller_hole_radius * inwards])
+            width = PATCH * body.roller_hole_radius
+            hole = patch(elastic, 1 + len(bores) + number, at, np.array([1j * inwards]), width)
+            pressed = pressed + hole @ np.array([inwards * forces.roller[number]])
+    whole = elastic.nodal_vector(np.asarray(pressed))
+    sectors = SECTORS if forces.arm.shape[1] == SECTORS else 0
+    for number, (bore, force) in enumerate(zip(bores, forces.arm, strict=True)):
+        ports = around(elastic, 1 + number, _circle_of(bore.points)[0], sectors)
+        whole = whole + (ports[:, 2:] if sectors else ports) @ force
+    return np.asarray(whole)
+
+
 def _alphas(pair: Pair, count: int) -> Array:
     """Profile parameters of all flank places, tooth by tooth, in the middles of equal arcs."""
     own = equal_arc_parameters(outline.true_flank(pair), count)

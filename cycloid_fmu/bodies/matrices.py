@@ -66,6 +66,21 @@ class BodyMatrices:
     ring: Array | None = None
 
 
+def port_matrices(matrices: BodyMatrices) -> dict[str, tuple[PortMatrix, ...]]:
+    """Return the matrices of a drive's bodies with their ports, as files have them, by the bodies' names."""
+
+    def held(compliance: Array, kind: str, components: int) -> PortMatrix:
+        count = len(compliance) // components
+        index, direction = np.repeat(np.arange(count), components), np.tile([1.0, 1j][:components], count)
+        return PortMatrix(np.repeat(kind, index.size), index, 0j * direction, direction, compliance, "held")
+
+    kinds = {"pin": ("plane", 1), "crank": ("plane", 1), "output_pin": ("plane", 1)}
+    kinds |= {"carrier": ("bore", 2), "ring": ("seat", 2)}
+    stated = {"disc": tuple(disc.matrix for disc in matrices.discs)}
+    stated |= {n: (held(c, *k),) for n, k in kinds.items() if (c := getattr(matrices, n)) is not None}
+    return {name: each for name, each in stated.items() if each}
+
+
 def check_bodies(pair: Pair, bodies: Bodies, source: str) -> None:
     """Raise an `edge.InputError` with a sentence for each reason why a pair can't have these bodies."""
     supports, reasons = pair.supports, list[str]()

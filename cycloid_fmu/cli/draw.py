@@ -45,7 +45,7 @@ def draw(
 
     A page with one torque also shows half of it, zero, and both with the opposite sign. One tooth is drawn enlarged,
     with its modification and deviations, including wear. Of an elastic disc a second picture, OUT-disc, has its mesh
-    and its displacement under the most loaded pin, enlarged and as colours.
+    and its displacement under the most loaded pin and under its whole load, enlarged and as colours.
 
     Example: [cyan]cycloid-fmu draw pair.toml --torque "181 N*m" --crank-angle "30 deg" -o drive.html[/]
     """
@@ -80,11 +80,13 @@ def draw(
     if body is not None and body.matrix is None:
         from cycloid_fmu.draw import plots
         from cycloid_fmu.draw.bodies import plot_disc
+        from cycloid_fmu.supports.disc_forces import disc_forces
 
         at = int(np.argmin(np.abs(angles - crank_angle % (2.0 * math.pi))))
         pressed = int(motion.force[first, at, 0].sum(axis=-1).argmax())
         picture = output.with_name(f"{output.stem}-disc{'.svg' if moves else output.suffix}")
-        plots.save(plot_disc(drive.pair, body, pin=pressed, crank_angle=crank_angle), picture)
-        typer.echo(f"{picture}: the elastic disc 0, displaced by its most loaded pin")
+        forces = disc_forces(drive.stage, loads[first], crank_angle) if loads[first] != 0.0 else None
+        plots.save(plot_disc(drive.pair, body, pin=pressed, crank_angle=crank_angle, forces=forces), picture)
+        typer.echo(f"{picture}: the elastic disc 0, displaced by its most loaded pin and by all its forces")
     for note in tilt_notes(drive):
         typer.echo(f"Note: {note}", err=True)

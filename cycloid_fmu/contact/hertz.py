@@ -257,8 +257,7 @@ def hertz_approach(
     # The law's own logarithm has 2 σ ln|ρ_c|.
     h = law.h + 2.0 * share * logarithm(log_radius / abs(radius))
     limit = min(largest_force, math.exp(h - 2.0))
-    if force > limit:
-        q = h - logarithm(limit)
-        return law.kappa * (limit * q + (q - 1.0) * (force - limit)), law.kappa * (q - 1.0), 0.0
-    q = h - logarithm(force)
-    return law.kappa * force * q, law.kappa * (q - 1.0), law.kappa * force * (law.bending + 2.0 * share * radius)
+    within = min(force, limit)
+    q = h - logarithm(within)
+    approach = law.kappa * (within * q + (q - 1.0) * (force - within))
+    return approach, law.kappa * (q - 1.0), law.kappa * within * (law.bending + 2.0 * share * radius)

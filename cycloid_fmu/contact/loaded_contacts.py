@@ -21,6 +21,9 @@ class LoadedContacts:
     ----------
     crank_angle, transmission_error
         Shape (angles,): rad, and the transmission error under load, rad.
+    shift, turn
+        Of each disc, shape (angles, discs): shift of its centre from the ideal one, complex in the housing's frame (m),
+        and its rotation beyond the transmission error (rad); 0 on rigid bearings.
     angle, disc, slice_, pin, tooth
         Indices: crank angle, disc, slice, pin, and the tooth touched.
     phase
@@ -30,7 +33,8 @@ class LoadedContacts:
     pin_direction
         Direction of the contact about the pin's axis from that to the pin circle's centre, > 0 counter-clockwise, rad.
     force, moment_arm, approach
-        N; -∂gap/∂(rotation of the output), m; Hertz's δ, m.
+        N; -∂gap/∂(rotation of the output), m; by how far flank and pin overlap as rigid bodies, m: on rigid bearings
+        Hertz's δ, otherwise with what seats and elastic bodies give way and with a seat's clearance.
     half_width, pressure, radius
         Hertz's a and largest pressure 2F/(πab), Pa; equivalent radius ρ*, m.
     pin_axis, normal
@@ -41,6 +45,8 @@ class LoadedContacts:
 
     crank_angle: Array
     transmission_error: Array
+    shift: NDArray[np.complex128]
+    turn: Array
     angle: NDArray[np.int64]
     disc: NDArray[np.int64]
     slice_: NDArray[np.int64]
@@ -87,6 +93,19 @@ def loaded_contacts(drive: contact.Problem, crank_angle: Array, torque: float) -
     table = np.empty((crank_angle.size, contact.contact_rows(drive).size), contact.ROW)
     contact.sweep_contacts(drive, crank_angle, torque, transmission_error, table)
     check_balance(torque, np.array([contact.carried(rows) for rows in table]))
+    still = np.zeros((crank_angle.size, drive.crank_phase.size))
+    return contacts_of(drive, crank_angle, transmission_error, still.astype(np.complex128), still, table)
+
+
+def contacts_of(
+    drive: contact.Problem,
+    crank_angle: Array,
+    transmission_error: Array,
+    shift: NDArray[np.complex128],
+    turn: Array,
+    table: contact.Rows,
+) -> LoadedContacts:
+    """Return the contacts that carry load of solved rows, shape (angles, rows); the others as in `LoadedContacts`."""
     angle, row = np.nonzero(table["force"] > 0.0)
     loaded = table[angle, row]
     pins, teeth = drive.teeth + 1, drive.teeth
@@ -94,7 +113,7 @@ def loaded_contacts(drive: contact.Problem, crank_angle: Array, torque: float) -
     angle_of_crank, x = crank_angle[angle], transmission_error[angle]
     crank = angle_of_crank + drive.crank_phase[disc]
     ring = angle_of_crank / pins + x if drive.ring else np.zeros(x.size)
-    gear = -drive.crank_phase[disc] / teeth if drive.ring else x - crank / teeth
+    gear = -drive.crank_phase[disc] / teeth if drive.ring else x + turn[angle, disc] - crank / teeth
     pitch = 2.0 * np.pi / teeth
     alpha = loaded["profile_parameter"]
     tooth = np.floor(alpha / pitch).astype(np.int64)
@@ -104,9 +123,10 @@ def loaded_contacts(drive: contact.Problem, crank_angle: Array, torque: float) -
     normal = np.exp(1j * alpha) * (1.0 - wave * pins / drive.circle_radius)
     normal /= np.abs(normal)
     flank = (drive.circle_radius - wave) * np.exp(1j * alpha) - drive.generating_radius * normal
-    turn = np.exp(1j * (gear + drive.tooth_turn[disc, tooth]))
+    turned = np.exp(1j * (gear + drive.tooth_turn[disc, tooth]))
     axis = (drive.pin_x + 1j * drive.pin_y)[pin] * np.exp(1j * ring)
     centre = drive.eccentricity * np.exp(1j * crank) + (drive.centre_x + 1j * drive.centre_y)[slice_]
+    centre += shift[angle, disc]
     inwards = -np.exp(1j * (2.0 * np.pi * pin / pins + ring))
     force, compliance = loaded["force"], drive.compliance_gear + drive.compliance_pin
     radius = 1.0 / np.maximum(np.abs(1.0 / drive.pin_radius[pin] + loaded["curvature"]), 1e-9)
@@ -115,6 +135,8 @@ def loaded_contacts(drive: contact.Problem, crank_angle: Array, torque: float) -
     return LoadedContacts(
         crank_angle,
         transmission_error,
+        shift,
+        turn,
         angle,
         disc,
         slice_,
@@ -122,7 +144,7 @@ def loaded_contacts(drive: contact.Problem, crank_angle: Array, torque: float) -
         tooth,
         (phase + np.pi) % (2.0 * np.pi) - np.pi,
         profile_parameter,
-        np.angle((flank * turn - axis + centre) / inwards),
+        np.angle((flank * turned - axis + centre) / inwards),
         force,
         loaded["arm"],
         -loaded["gap"],
@@ -130,7 +152,7 @@ def loaded_contacts(drive: contact.Problem, crank_angle: Array, torque: float) -
         2.0 * force / (np.pi * half * drive.slice_width),
         radius,
         axis - centre,
-        normal * turn,
+        normal * turned,
         loaded["curvature"],
     )
 

@@ -38,16 +38,12 @@ def plot_wear(model: WearModel, states: list[WearState], new: WearRate, figures:
 
 def _draw_mesh(axes: NDArray[np.object_], model: WearModel) -> None:
     """Draw force, pressure, velocities, slip and wear coefficient of the new drive's contacts over the pin's angle."""
-    from cycloid_fmu.contact.loaded_contacts import loaded_contacts
-    from cycloid_fmu.contact.transmission import rigid_problem
+    from cycloid_fmu.supports.loaded_contacts import loaded_contacts, mounted
     from cycloid_fmu.wear.progress import contact_coefficients
     from cycloid_fmu.wear.sliding import velocities
 
-    drive, torque = (
-        rigid_problem(DriveValue(model.pair, model.surface), model.unworn.gear.shape[3]),
-        model.heaviest_torque,
-    )
-    contacts = loaded_contacts(drive, model.sweep.crank_angle, torque)
+    held, torque = mounted(DriveValue(model.pair, model.surface), model.unworn.gear.shape[3]), model.heaviest_torque
+    drive, contacts = held.problem, loaded_contacts(held, model.sweep.crank_angle, torque)
     order = np.argsort(contacts.phase)
     speed = velocities(drive, contacts)
     coefficient = contact_coefficients(model.law, drive, contacts)

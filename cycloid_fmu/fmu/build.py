@@ -15,6 +15,8 @@ import numpy as np
 
 from cycloid_fmu import __version__, edge
 from cycloid_fmu.analysis import solve
+from cycloid_fmu.bodies.given import write_influence
+from cycloid_fmu.bodies.matrices import matrices_of, port_matrices
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.edge import ArgumentError, Config
 from cycloid_fmu.fmu.chain import with_chain
@@ -25,6 +27,8 @@ from cycloid_fmu.fmu.model_losses import with_model_losses
 from cycloid_fmu.fmu.parts import parts, write_archive
 from cycloid_fmu.fmu.pythonfmu_builder import build_archive
 from cycloid_fmu.fmu.variables import ADDED, INTERFACES, Interface, InterfaceKind, LossRow, variables
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.supports.assembly import as_drawn
 from cycloid_fmu.supports.transmission import play_loads
 from cycloid_fmu.surfaces.files import write_surface
 from cycloid_fmu.surfaces.surface import DEVIATIONS
@@ -87,13 +91,17 @@ def build_fmu(
         }
         if first_stage is not None:
             numbers["first_stage"] = json.loads(first_stage.text)
+        influence = _write_influence(pair, resources)
+        if influence:
+            numbers["influence"] = influence
         (resources / NUMBERS).write_text(json.dumps(numbers, indent=1), encoding="utf-8")
         with (resources / SURFACE).open("wb") as file:
             arrays = {**surface.errors, **{name: getattr(surface, name) for name in DEVIATIONS}}
             np.savez(file, allow_pickle=False, **{n: a for n, a in arrays.items() if a is not None})
         write_surface(surface, resources / "surface.nc")
         script = Path(__file__).with_name(_SCRIPTS[fmi_version])
-        files = [resources / name for name in (NUMBERS, SURFACE, "surface.nc")]
+        of_bodies = [name for each in influence.values() for name in each]
+        files = [resources / name for name in (NUMBERS, SURFACE, "surface.nc", *of_bodies)]
         (resources / SUMS).write_bytes(sums_of({path.name: path.read_bytes() for path in (*files, script)}))
         archive = build_archive(library, script, [*files, resources / SUMS], resources)
         fronts = _FRONTS if fmi_version == "2.0" else {}
@@ -105,6 +113,18 @@ def build_fmu(
         contents |= parts(drive, interface, table, fmi_version, [library])
         # Sorted, because the library's order depends on the file system.
         write_archive(temporary, dict(sorted(contents.items())))
+
+
+def _write_influence(pair: Pair, folder: Path) -> dict[str, list[str]]:
+    """Write the matrices of a pair's elastic bodies, which an FMU then need not compute; return the files' names."""
+    if pair.bodies is None:
+        return {}
+    names = dict[str, list[str]]()
+    for body, matrices in port_matrices(matrices_of(as_drawn(pair), pair.bodies)).items():
+        names[body] = [f"influence-{body}-{number}.nc" for number in range(len(matrices))]
+        for name, matrix in zip(names[body], matrices, strict=True):
+            write_influence(matrix, folder / name)
+    return names
 
 
 def checked_interface(interface: InterfaceKind | Interface, drive: DriveValue) -> Interface:

@@ -125,6 +125,10 @@ class Core:
         with np.load(io.BytesIO(files[SURFACE])) as arrays:
             values: dict[str, Any] = {n: arrays[n] if arrays[n].shape else float(arrays[n]) for n in arrays.files}
         pair, stage = parse_pair(numbers["pair"], "the FMU's drive"), numbers.get("first_stage")
+        influence = dict[str, list[str]](numbers.get("influence", {}))
+        if pair.bodies is not None:
+            paths = {body: [str(resources / name) for name in names] for body, names in influence.items()}
+            pair = pair.replace(bodies=pair.bodies.of_files(paths))
         drive = DriveValue(pair, ErrorSurface(pair, **values), None if stage is None else FirstStage(**stage))
         self.interface = interface = interface_from(numbers["interface"])
         self.clockwork = Clockwork(drive, interface, version)
@@ -134,7 +138,8 @@ class Core:
         self.summary = stiffness_text(pair, interface)
         self.phase = INSTANTIATED
         self.faults: dict[int, str] = {}
-        self._hash = hashlib.sha256(files[NUMBERS] + files[SURFACE]).digest()
+        of_drive = (NUMBERS, SURFACE, *(name for names in influence.values() for name in names))
+        self._hash = hashlib.sha256(b"".join(files[name] for name in of_drive)).digest()
         self._groups: dict[tuple[int, ...], Group] = {}  # of reals that are exchanged together
 
     def of_kind(self, reference: int, kind: str) -> Variable:

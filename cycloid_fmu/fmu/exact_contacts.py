@@ -34,7 +34,6 @@ from cycloid_fmu.fmu.constants import (
     UNRATED_LOAD,
 )
 from cycloid_fmu.supports import energy
-from cycloid_fmu.supports.assembly import check_rigid
 from cycloid_fmu.supports.balance import Load
 from cycloid_fmu.supports.bearing import CENTRING
 from cycloid_fmu.supports.joints import work_of
@@ -421,7 +420,6 @@ def _of_mesh(drive: DriveValue, shared: tuple[Array, Array]) -> tuple[Any, _Memo
 
 def _of_bearings(drive: DriveValue, shared: tuple[Array, Array]) -> tuple[Any, _Memory, _Memory, float]:
     pair = drive.pair
-    check_rigid(pair, "an exact FMU")
     tangent = play_loads(pair)[1]
     assembly = assembly_of(drive)
     assembly = assembly._replace(balanced=max(assembly.balanced, _BALANCED))
@@ -431,7 +429,8 @@ def _of_bearings(drive: DriveValue, shared: tuple[Array, Array]) -> tuple[Any, _
         problem = problem_of(drive, drive.slices)._replace(shift_x=shift_x, shift_y=shift_y, turn=turn)
         work, results, rows = work_of(assembly), np.zeros(energy.FOUND), contact.contact_rows(problem)
         stands.append((energy.held(problem, assembly, work), rows, results))
-        memory.append((rows, results, work.coordinates, work.pose, work.moved))
+        of_ports = () if work.ports is None else (work.ports.ports, work.ports.reach)
+        memory.append((rows, results, work.coordinates, work.pose, work.moved, *of_ports))
     numbers = np.array([math.nan, math.nan, math.nan, 0.0, 1.0, tangent])
     held, rows_of, results_of = (tuple(parts) for parts in zip(*stands, strict=True))
     floating = _OnBearings(held, rows_of, results_of, numbers, *shared)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -413,6 +413,11 @@ class Bodies(Config):
         return self.replace(
             **{name: getattr(self, name).replace(stiffness_factor=factor) for name, factor in factors.items()}
         )
+
+    def of_files(self, files: Mapping[str, Sequence[str]]) -> Bodies:
+        """Return the same bodies by the files of their matrices, under their keys in `[bodies]`."""
+        kinds = {name: type(body) for name, body in self.stated()}
+        return Bodies(**{n: kinds[n](matrix=each[0] if len(each) == 1 else tuple(each)) for n, each in files.items()})
 
     def in_folder(self, folder: Path) -> Bodies:
         """Return the bodies of a file in a folder with the names of their files as seen from the working folder."""

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu.bodies import beams, outline
+from cycloid_fmu.bodies.disc import DiscForces, elastic_disc, nodal_forces
 from cycloid_fmu.contact.transmission import Transmission
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.bodies import Bodies, DiscBody
@@ -375,15 +376,15 @@ def web_stresses(
     width
         Shape (webs,), m.
     """
-    from cycloid_fmu.bodies.disc import elastic_disc
-
     elastic = elastic_disc(pair, body, disc)
     start, end = _webs(pair, body, disc)
     along, width = (end - start) / np.abs(end - start), np.abs(end - start)
     points = 0.5 * (start + end)[:, None] + 0.5 * (end - start)[:, None] * _SECTION
     stress = elastic.stress(points.ravel())
-    forces = np.array([_disc_forces(elastic, pair, body, swept, disc, torque, int(k)) for k in angles]).T
-    moved = elastic.displacement(forces)
+    crank_angle = [float(swept.crank_angle[k]) for k in angles]
+    each = [_disc_forces(pair, swept, disc, torque, int(k)) for k in angles]
+    forces = [nodal_forces(elastic, pair, body, disc, *at) for at in zip(crank_angle, each, strict=True)]
+    moved = elastic.displacement(np.array(forces).T)
     xx, yy, xy = ((matrix @ moved).reshape(*points.shape, angles.size) for matrix in stress)
     across = (1j * along)[:, None, None]
     normal = xx * across.real**2 + yy * across.imag**2 + 2.0 * xy * across.real * across.imag
@@ -421,45 +422,19 @@ def _webs(pair: Pair, body: DiscBody, disc: int) -> tuple[Points, Points]:
     return np.array(starts), np.array(ends)
 
 
-def _disc_forces(
-    elastic: Any, pair: Pair, body: DiscBody, swept: OnBearings, disc: int, torque: int, angle: int
-) -> Array:
-    """Return nodal forces on a disc at one crank angle, N, in its axes."""
-    from cycloid_fmu.bodies.disc import PATCH
-    from cycloid_fmu.bodies.ports import around, patch
-
+def _disc_forces(pair: Pair, swept: OnBearings, disc: int, torque: int, angle: int) -> DiscForces:
+    """Return the forces on a disc at one crank angle, in its axes, its arms in balance with the others."""
     supports, crank_angle = pair.supports, float(swept.crank_angle[angle])
     assert supports is not None
     crank = crank_angle + 2.0 * math.pi * disc / pair.discs
-    force = swept.pin_force[torque, angle, disc]
-    loaded = np.flatnonzero(force > 1e-3 * force.max())
-    alpha = (2.0 * np.pi * loaded / pair.pins + crank / pair.gear_teeth) % (2.0 * np.pi)
+    pin, roller = swept.pin_force[torque, angle, disc], swept.output_roller_force[torque, angle, disc]
+    alpha = (2.0 * np.pi * np.arange(pair.pins) / pair.pins + crank / pair.gear_teeth) % (2.0 * np.pi)
     place, normal = outline.flank_at(pair, disc, alpha)
-    pressed = patch(elastic, 0, place, 1j * normal, PATCH * pair.pin_radius) @ (-normal * force[loaded])
-    total = (-normal * force[loaded]).sum()
-    moment = float((np.conj(place) * -normal * force[loaded]).imag.sum())
-    arms = outline.bores(pair, body, 96)
-    if supports.kind == "output_rollers":
-        assert body.roller_hole_radius is not None
-        inwards = -np.exp(1j * (crank + crank_angle / pair.gear_teeth))
-        rolled = swept.output_roller_force[torque, angle, disc]
-        for number in np.flatnonzero(rolled > 1e-3 * rolled.max()).tolist():
-            at = outline.places(pair)[number] + body.roller_hole_radius * inwards
-            hole = patch(
-                elastic,
-                1 + len(arms) + number,
-                np.array([at]),
-                np.array([1j * inwards]),
-                PATCH * body.roller_hole_radius,
-            )
-            pressed = pressed + hole @ np.array([inwards * rolled[number]])
-            total += inwards * rolled[number]
-        reactions = np.array([-total])
-    else:
-        middles = outline.places(pair)
-        reactions = -total / supports.count - 1j * middles * moment / (supports.count * supports.circle_radius**2)
-    forces = elastic.nodal_vector(np.asarray(pressed))
-    for number, (bore, reaction) in enumerate(zip(arms, reactions, strict=True)):
-        both = around(elastic, 1 + number, complex(bore.points.mean()), 0).toarray()
-        forces = forces + both @ np.array([reaction.real, reaction.imag])
-    return np.asarray(forces)
+    inwards = -np.exp(1j * (crank + crank_angle / pair.gear_teeth))
+    total = -(normal * pin).sum() + inwards * roller.sum()
+    reactions = np.array([-total])
+    if supports.kind == "cranks":
+        moment = float((np.conj(place) * -normal * pin).imag.sum())
+        shared = supports.count * supports.circle_radius**2
+        reactions = -total / supports.count - 1j * outline.places(pair) * moment / shared
+    return DiscForces(pin, np.column_stack([reactions.real, reactions.imag]), roller)

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cycloid_fmu import edge
 from cycloid_fmu.bodies.matrices import BodyMatrices, matrices_of
 from cycloid_fmu.errors.kinds import EACH_SUPPORT
 from cycloid_fmu.geometry import supports as stated
@@ -196,16 +195,6 @@ def is_elastic(pair: Pair) -> bool:
     """Whether a pair has elastic bodies, or half-shell seats, which are solved with them."""
     supports = pair.supports
     return supports is not None and (pair.bodies is not None or supports.pin_seat.kind is not None)
-
-
-def check_rigid(pair: Pair, what: str) -> None:
-    """Raise an `edge.InputError` if a pair has elastic bodies, which a computation does not take into account."""
-    if is_elastic(pair):
-        stated = "[bodies]" if pair.bodies is not None else '[supports.pin_seat] kind = "half_shell"'
-        raise edge.InputError(
-            f"the pair states {stated}, which {what} does not take into account yet; remove it to compute with rigid "
-            "bodies and linear seats."
-        )
 
 
 @functools.lru_cache(maxsize=64)

@@ -66,11 +66,23 @@ _KEPT = 0.05  # a factor is kept as long as it takes away all but this share of 
 _PATCH_LIMIT = 0.75  # half width of a contact over that of its patch, up to which the law holds
 
 
-@compiled
-def _pin_law(
-    problem: Problem, elastic: Elastic, contact_: np.record, pin: int, force: float
-) -> tuple[float, float, float]:
-    """Approach of a pin, flank and seat under a force, its derivative by the force, and that by the curvature."""
+class PinLaw(NamedTuple):
+    """Approach of a pin, flank and seat, under a force."""
+
+    approach: float  # m
+    softness: float  # its derivative by the force, m/N
+    bent: float  # its derivative by the flank's curvature, m²
+    energy: float  # stored by flank, pin and seat, J
+    bent_energy: float  # the energy's derivative by the flank's curvature at this approach, N·m²
+
+
+@compiled(inline=True)
+def pin_law(problem: Problem, elastic: Elastic, contact_: np.record, pin: int, force: float) -> PinLaw:
+    """Law of a pin under a force, N, > 0.
+
+    The energy is Fδ - ∫δ dF. Hertz's δ = κF(H - ln F) has the integral ½Fδ + ¼κF²; beyond the limit F_l of the law it
+    is that up to there and a trapezium, as δ = F dδ/dF + κF_l along the tangent.
+    """
     width, gear, of_pin = problem.slice_width, problem.compliance_gear, problem.compliance_pin
     radius, largest = problem.pin_radius[pin], math.inf
     log_radius = min(1.0 / max(abs(contact_.curvature), 1e-12), problem.largest_log_radius)
@@ -82,14 +94,25 @@ def _pin_law(
     approach, softness, bent = hertz_approach(
         force, contact_.curvature, radius, width, gear, of_pin, log_radius, largest
     )
+    kappa = (gear + of_pin) / (math.pi * width)
+    limit = min((approach - force * softness) / kappa, force)
+    at_limit = approach - (force - limit) * softness
+    below = 0.5 * limit * at_limit + 0.25 * kappa * limit * limit + 0.5 * (force - limit) * (at_limit + approach)
     if elastic.patch_half_width == 0.0 and log_radius < problem.largest_log_radius:
-        bent -= 2.0 * gear / (math.pi * width) * force / contact_.curvature
+        bent -= 2.0 * gear / (math.pi * width) * limit / contact_.curvature
+    bent_energy = -bent * (force - 0.5 * limit)
     if math.isnan(elastic.half_shell):
-        return approach + force * problem.seat_compliance, softness + problem.seat_compliance, bent
-    each = 2.0 * of_pin / width
-    s = elastic.half_shell * width / (2.0 * of_pin * force)
+        seat = force * problem.seat_compliance
+        approach, softness, below = approach + seat, softness + problem.seat_compliance, below + 0.5 * force * seat
+        return PinLaw(approach, softness, bent, force * approach - below, bent_energy)
+    each, play = 2.0 * of_pin / width, elastic.half_shell * width / (2.0 * of_pin)
+    s = play / force
     seat = 0.08 + math.log(s + 1.42) / math.pi
-    return approach + each * force * seat, softness + each * (seat - s / (math.pi * (s + 1.42))), bent
+    approach += each * force * seat
+    softness += each * (seat - s / (math.pi * (s + 1.42)))
+    bow = play / 1.42 * (force - play / 1.42 * math.log(1.0 + 1.42 / s)) if play > 0.0 else 0.0
+    below += 0.5 * each * (force * force * seat + bow / math.pi)
+    return PinLaw(approach, softness, bent, force * approach - below, bent_energy)
 
 
 @compiled
@@ -299,7 +322,8 @@ def _bend_pins(problem: Problem, elastic: Elastic, ports: Ports, contacts: Rows)
         if port.kind == PIN and port.force > 0.0:
             contact_ = contacts[port.joint]
             pin = disc_slice_pin(problem, port.joint)[2]
-            port.deflection, port.softness, _ = _pin_law(problem, elastic, contact_, pin, port.force)
+            law = pin_law(problem, elastic, contact_, pin, port.force)
+            port.deflection, port.softness = law.approach, law.softness
 
 
 @compiled
@@ -386,7 +410,8 @@ def _load_others(
                 # Newton's method starts from about Hertz's law.
                 port.force = port.deflection / (10.0 * (problem.compliance_gear + problem.compliance_pin))
                 port.force *= problem.slice_width
-                port.deflection, port.softness, _ = _pin_law(problem, elastic, contacts[port.joint], pin, port.force)
+                law = pin_law(problem, elastic, contacts[port.joint], pin, port.force)
+                port.deflection, port.softness = law.approach, law.softness
             else:
                 _deflect(assembly, ports, number)
     return others
@@ -448,7 +473,7 @@ def write_approaches(
     problem: Problem, assembly: Assembly, elastic: Elastic, crank_angle: float, contacts: Rows, work: Work, ports: Ports
 ) -> None:
     """Write the rigid approach of all ports where the unknowns have the bodies, after `orient` and placing the pins."""
-    turn_to(elastic.influence, ports.moving, crank_angle)
+    turn_to(ports.moving, crank_angle)
     c, s = math.cos(crank_angle / problem.teeth), -math.sin(crank_angle / problem.teeth)
     for number in range(elastic.first.size):
         if elastic.ports_of_joint[number] == 0:
@@ -481,8 +506,8 @@ def _write_pins(problem: Problem, elastic: Elastic, contacts: Rows, ports: Ports
         contact_.stiffness = contact_.force_by_curvature = 0.0
         if port.force > 0.0:
             pin = disc_slice_pin(problem, row)[2]
-            _, softness, bent = _pin_law(problem, elastic, contact_, pin, port.force)
-            contact_.stiffness, contact_.force_by_curvature = 1.0 / softness, -bent / softness
+            law = pin_law(problem, elastic, contact_, pin, port.force)
+            contact_.stiffness, contact_.force_by_curvature = 1.0 / law.softness, -law.bent / law.softness
             contacts[touching].touching = row
             touching += 1
     if touching < contacts.shape[0]:
@@ -644,7 +669,7 @@ def torque_of_bodies(problem: Problem, assembly: Assembly, elastic: Elastic | No
     """
     if elastic is None:
         return 0.0
-    _write_forces(ports)
+    write_forces(ports)
     torque = -rate_of_energy(elastic.influence, ports.moving, ports.of_slots)
     for number in range(elastic.first.size):
         if elastic.ports_of_joint[number] > 0 and assembly.joints[number].reach == 0.0:
@@ -655,7 +680,7 @@ def torque_of_bodies(problem: Problem, assembly: Assembly, elastic: Elastic | No
 
 
 @compiled
-def _write_forces(ports: Ports) -> None:
+def write_forces(ports: Ports) -> None:
     """Write the force of each slot."""
     for slot in range(ports.of_slots.size):
         ports.of_slots[slot] = 0.0
@@ -678,10 +703,10 @@ class Pull(NamedTuple):
 
 
 @compiled
-def _write_rates(elastic: Elastic, ports: Any) -> None:
+def write_rates(elastic: Elastic, ports: Any) -> None:
     """Write dC/dθ f of the slots under load."""
     rates = ports.rates
-    _write_forces(ports)
+    write_forces(ports)
     for slot in range(rates.size):
         rates[slot] = 0.0
     add_rates(elastic.influence, ports.moving, ports.of_slots, rates)
@@ -703,7 +728,7 @@ def pull_ports(elastic: Elastic | None, ports: Any, by: Array) -> float:
     for k in range(n):
         right[k] = dot(ports.by_coordinate[k], by) + dot(ports.rubbing[ports.active[k]], by)
     solve_ports(ports, right)
-    _write_rates(elastic, ports)
+    write_rates(elastic, ports)
     work = 0.0
     for k in range(n):
         port = ports.ports[ports.active[k]]
@@ -731,7 +756,7 @@ def clear_rubbing(elastic: Elastic | None, ports: Any) -> None:
     """Set what friction takes of the ports under load to zero, and what the crank takes to that by their influence."""
     if elastic is None:
         return
-    _write_rates(elastic, ports)
+    write_rates(elastic, ports)
     for k in range(ports.counts[0]):
         number = ports.active[k]
         ports.by_crank[number] = -ports.rates[ports.ports[number].slot]

@@ -14,9 +14,9 @@ import numpy as np
 
 from cycloid_fmu import contact
 from cycloid_fmu.contact import Array, Problem, Rows, compiled
-from cycloid_fmu.contact.load_sharing import load_sharing
 from cycloid_fmu.contact.local_frame import contact_stiffness, crank_motion, gap_gradient, projection
 from cycloid_fmu.supports.balance import HELD, Load, settle, solve_transposed
+from cycloid_fmu.supports.elastic_energy import energy_of_ports, pin_energy, turn_ports
 from cycloid_fmu.supports.joints import (
     FIRST_DISC,
     Assembly,
@@ -27,6 +27,7 @@ from cycloid_fmu.supports.joints import (
     reaction,
     stored_energy,
 )
+from cycloid_fmu.supports.ports import begin_anew, has_ports, is_rigid
 
 # Indices of the results of `stand`, and their number.
 X, STIFFNESS, ENERGY, BY_FLANGE, BY_ANGLE, CRANK_TORQUE, RATE, TORQUE = range(8)
@@ -58,9 +59,12 @@ def held(drive: Problem, assembly: Assembly, work: Work) -> Held:
 
 @compiled
 def _mesh(
-    drive: Problem, crank_angle: float, x: float, rows: Rows, by_energy: Array, by_angle: Array
+    drive: Problem, assembly: Assembly, crank_angle: float, x: float, rows: Rows, by_energy: Array, by_angle: Array
 ) -> tuple[float, float, float]:
-    """Add the mesh; returns its energy, its derivative by θ at fixed unknowns, and the contribution of curvature."""
+    """Add the mesh; returns its energy, its derivative by θ at fixed unknowns, and the contribution of curvature.
+
+    Through elastic bodies the energy, and what the balance's equations change by θ, is that of ports.
+    """
     energy = turning = bent_by = 0.0
     kappa = (drive.compliance_gear + drive.compliance_pin) / (math.pi * drive.slice_width)
     for row in range(rows.shape[0]):
@@ -70,28 +74,35 @@ def _mesh(
             continue
         local = contact.local_frame(drive, crank_angle, x, rows, row)
         along = gap_gradient(local)
-        stiffness = contact_stiffness(contact_, local, along)
         # Motion of the disc with the crank at fixed unknowns.
         motion = (*crank_motion(drive, local), -1.0 / drive.teeth)
-        energy += -0.5 * force * (contact_.gap + drive.seat_gap) - 0.25 * kappa * force * force
+        stored, by_curvature = pin_energy(drive, assembly.elastic, contact_, local.pin, kappa)
+        energy += stored
         turning -= force * projection(motion, along.gap)
-        curved = contact_.force_by_curvature * contact_.curvature_rate * local.foot
-        bending = 0.5 * force * curved / contact_.stiffness
+        bending = by_curvature * contact_.curvature_rate * local.foot
         bent_by += bending * projection(motion, along.slide)
-        first = FIRST_DISC + 3 * local.disc
+        first, rigid = FIRST_DISC + 3 * local.disc, is_rigid(assembly.elastic)
+        stiffness = contact_stiffness(contact_, local, along)
         for i in range(3):
             by_energy[first + i] += bending * along.slide[i]
-            by_angle[first + i] += projection(motion, stiffness[i])
+            if rigid:
+                by_angle[first + i] += projection(motion, stiffness[i])
     return energy, turning, bent_by
 
 
 @compiled
 def _joints(assembly: Assembly, centring: float, work: Work, by_angle: Array) -> tuple[float, float]:
-    """Add the joints at the solved place; returns their energy and its derivative by θ at fixed unknowns."""
+    """Add the joints at the solved place; returns their energy and its derivative by θ at fixed unknowns.
+
+    Of those through elastic bodies there is the centring springs' energy alone.
+    """
     stored = turning = 0.0
     for number in range(assembly.joints.size):
         joint = assembly.joints[number]
         d = displacement(assembly, joint, work)
+        if has_ports(assembly.elastic, number):
+            stored += 0.5 * centring * d.length * d.length if joint.reach == 0.0 else 0.0
+            continue
         acting = reaction(assembly, joint, d, centring)
         if acting.stiffness == 0.0:
             continue
@@ -127,14 +138,18 @@ def stand(box: Held, crank_angle: float, pull: Load, rows: Rows, cold: bool, out
         for i in range(FIRST_DISC + 2, FIRST_DISC + 3 * drive.shift_x.size, 3):
             q[i] += flange - q[0]
         q[0] = flange
+    begin_anew(work.ports)
     steps = settle(drive, assembly, crank_angle, pull, rows, work, None, cold)
     if steps == 0:
         return 0
     for i in range(n):
         by_energy[i] = by_angle[i] = 0.0
-    of_mesh, mesh_turning, bending = _mesh(drive, crank_angle, q[0], rows, by_energy, by_angle)
+    elastic = assembly.elastic
+    of_mesh, mesh_turning, bending = _mesh(drive, assembly, crank_angle, q[0], rows, by_energy, by_angle)
     of_joints, joints_turning = _joints(assembly, pull.centring, work, by_angle)
     by_crank = mesh_turning + joints_turning
+    by_crank += turn_ports(drive, assembly, elastic, crank_angle, pull.centring, rows, work, by_angle)
+    stored = of_mesh + of_joints + energy_of_ports(drive, assembly, elastic, rows, work.ports)
     # Rows of the inverse for the carrier's rotation and for b, without the flange's spring.
     work.jacobian[0, 0] -= spring
     for i in range(n):
@@ -151,13 +166,7 @@ def stand(box: Held, crank_angle: float, pull: Load, rows: Rows, cold: bool, out
     carried = spring * (flange - q[0]) + pull.torque
     by_flange = carried + bent[0] * share if spring > 0.0 else carried
     out[X], out[STIFFNESS] = q[0], 1.0 / row[0]
-    out[ENERGY] = of_mesh + of_joints + (0.5 * (flange - q[0]) ** 2 * spring if spring > 0.0 else 0.0)
+    out[ENERGY] = stored + (0.5 * (flange - q[0]) ** 2 * spring if spring > 0.0 else 0.0)
     out[BY_FLANGE], out[BY_ANGLE] = by_flange, energy_rate + by_flange / teeth
     out[CRANK_TORQUE], out[RATE], out[TORQUE] = by_crank + carried / teeth, rate - 1.0 / teeth, carried
     return steps
-
-
-@compiled
-def shared(box: Held, rows: Rows, pin_force: Array, pin_pressure: Array) -> tuple[int, float]:
-    """Return the number of pins in contact and the largest pressure (Pa) after `stand`, as `contact.load_sharing`."""
-    return load_sharing(box.drive, rows, pin_force, pin_pressure)

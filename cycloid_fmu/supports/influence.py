@@ -500,7 +500,7 @@ def parts_of_others(
 
 
 @compiled
-def turn_to(influence: Influence, moving: Moving, crank_angle: float) -> None:
+def turn_to(moving: Moving, crank_angle: float) -> None:
     """Go to a crank angle, where no moving slot is known."""
     if moving.angle[0] == crank_angle:
         return

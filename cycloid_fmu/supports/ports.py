@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu.contact import Array, compiled
-from cycloid_fmu.supports.influence import Indices, Influence, Moving, moving_of
+from cycloid_fmu.supports.influence import Indices, Influence, Moving, moving_of, turn_to
 
 _FIRST_REACH = 5e-6  # m: pins this far from the flank may be pressed by elastic bodies
 PIN, ROLLER, SECTOR, ALONG_X, ALONG_Y = range(5)  # kinds of ports; the last two are both components of a bearing
@@ -174,6 +174,23 @@ def set_exact(ports: Ports | None, exact: float) -> bool:
         return False
     ports.numbers[EXACT] = exact
     return True
+
+
+@compiled
+def begin_anew(ports: Ports | None) -> None:
+    """Forget all but the ports' records and `reach`, on which the next solution then depends alone, to the last bit."""
+    if ports is None:
+        return
+    ports.numbers[GATHERED_AT], ports.numbers[FRESH], ports.numbers[AGE] = math.nan, 0.0, 0.0
+    for i in range(ports.counts.size):
+        ports.counts[i] = -1
+    turn_to(ports.moving, math.nan)
+
+
+@compiled
+def is_rigid(elastic: Elastic | None) -> bool:
+    """Whether all bodies are rigid."""
+    return elastic is None
 
 
 @compiled

@@ -98,6 +98,36 @@ def sweep_supported(
 
 
 @compiled
+def sweep_supported_contacts(
+    problem: Problem,
+    assembly: Assembly,
+    crank_angles: Array,
+    torque: float,
+    steps: NDArray[np.int64],
+    coordinates: Array,
+    work: Work,
+    table: Rows,
+) -> None:
+    """Solve crank angles at one torque and keep every contact row.
+
+    Parameters
+    ----------
+    crank_angles, torque
+        Crank angles (rad), shape (angles,); torque (N·m).
+    steps, coordinates, table
+        Overwritten: steps taken, 0 without a balance, shape (angles,); the unknowns, shape (angles, unknowns);
+        `contact_rows` of each angle, shape (angles, rows).
+    """
+    contacts = contact.contact_rows(problem)
+    for i in range(crank_angles.size):
+        follows = follow_neighbours(crank_angles, coordinates, i, work.coordinates)
+        pull = Load(torque, 0.0, 0.0, CENTRING)
+        steps[i] = settle(problem, assembly, crank_angles[i], pull, contacts, work, None, not follows)
+        coordinates[i] = work.coordinates
+        table[i] = contacts
+
+
+@compiled
 def sweep_interference(
     problem: Problem, crank_angles: Array, coordinates: Array, pressed: Array, interference: Array
 ) -> None:

@@ -205,7 +205,7 @@ def _solve(
     for k, torque in enumerate(torques):
         if not solutions.steps[k].all():
             unsolved = int(np.argmin(solutions.steps[k]))
-            raise _unbalanced(torque[unsolved], angles[unsolved])
+            raise unbalanced(torque[unsolved], angles[unsolved])
 
 
 def with_own_discs(mesh: Problem) -> Problem:
@@ -225,7 +225,8 @@ def _lines_of(lines: ContactLines, load: int, angles: slice) -> ContactLines:
     )
 
 
-def _unbalanced(torque: float, crank_angle: float) -> edge.InputError:
+def unbalanced(torque: float, crank_angle: float) -> edge.InputError:
+    """Return the error of a drive that has no balance at a torque (N·m) and crank angle (rad)."""
     return transmission.UnbalancedError(
         f"torque = {torque:g} N*m: the drive can't balance it at a crank angle of {crank_angle:.6g} rad; give a "
         "smaller one."
@@ -384,5 +385,5 @@ def sensitivity(drive: DriveValue, torque: Array, crank_angle: Array, slices: in
         derivatives,
         work_of(assembly),
     ):
-        raise _unbalanced(float(at_angles[0]), angles[0])
+        raise unbalanced(float(at_angles[0]), angles[0])
     return sensitivity_of(pair, solutions.coordinates[0, :, 0].copy(), derivatives)

@@ -20,12 +20,13 @@ from scipy.ndimage import correlate1d
 
 from cycloid_fmu import contact
 from cycloid_fmu.analysis import solve
-from cycloid_fmu.contact.loaded_contacts import LoadedContacts, loaded_contacts
-from cycloid_fmu.contact.transmission import ANGLE_ELEMENTS, PART, PROFILE_ELEMENTS, rigid_problem
+from cycloid_fmu.contact.loaded_contacts import LoadedContacts
+from cycloid_fmu.contact.transmission import ANGLE_ELEMENTS, PART, PROFILE_ELEMENTS
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.edge.kernels import kept_njit
 from cycloid_fmu.geometry.pair import LOST_MOTION_LOAD, Pair
 from cycloid_fmu.geometry.profile import flank_points, flank_speed
+from cycloid_fmu.supports.loaded_contacts import Mounted, loaded_contacts, mounted
 from cycloid_fmu.surfaces.surface import ErrorSurface, alike
 from cycloid_fmu.wear.law import Load, Regression, WearLaw
 from cycloid_fmu.wear.sliding import velocities
@@ -93,10 +94,14 @@ class Sweep:
 
 
 def sweep_of(drive: DriveValue) -> Sweep:
-    """Return the shortest sweep of a pair with its errors: one pin pitch, one turn, or a whole turn of the output."""
+    """Return the shortest sweep of a pair with its errors: one pin pitch, one turn, or a whole turn of the output.
+
+    On stated bearings a tooth's load depends on where it stands against its disc's holes.
+    """
     pair, surface = drive.pair, drive.surface
     g = pair
     teeth, pins = alike(surface)
+    teeth = teeth and pair.supports is None
     fixed, moving = (g.pins, g.gear_teeth) if g.output == "gear" else (g.gear_teeth, g.pins)
     fixed_alike, moving_alike = (pins, teeth) if g.output == "gear" else (teeth, pins)
     meshes = (1 if fixed_alike else fixed) * (1 if moving_alike else moving)
@@ -323,7 +328,7 @@ def wear_rate(model: WearModel, surface: ErrorSurface, workers: int = 1) -> Wear
         Threads; the result is the same bits for any number.
     """
     width = model.unworn.gear.shape[3]
-    drive = rigid_problem(DriveValue(model.pair, surface), width)
+    drive = mounted(DriveValue(model.pair, surface), width)
     angle = model.sweep.crank_angle
     parts = [
         (load, part)
@@ -341,7 +346,7 @@ def wear_rate(model: WearModel, surface: ErrorSurface, workers: int = 1) -> Wear
     if model.sweep.teeth_alike:
         gear = np.broadcast_to(gear.mean(axis=(0, 1)), gear.shape).copy()
     # Every disc runs on its own part of the pins' length; a surface has one part only: the mean of the discs.
-    pin = pin / drive.crank_phase.size
+    pin = pin / model.pair.discs
     if model.sweep.pins_alike:
         pin = np.broadcast_to(pin.mean(axis=0), pin.shape).copy()
     if model.law.pins == "free":
@@ -355,8 +360,8 @@ def wear_rate(model: WearModel, surface: ErrorSurface, workers: int = 1) -> Wear
     )
 
 
-def _part_of_rate(model: WearModel, drive: contact.Problem, load: Load, crank_angle: Array) -> WearRate:
-    contacts = loaded_contacts(drive, crank_angle, load.torque)
+def _part_of_rate(model: WearModel, held: Mounted, load: Load, crank_angle: Array) -> WearRate:
+    drive, contacts = held.problem, loaded_contacts(held, crank_angle, load.torque)
     depth = model.unworn
     per_turn = load.crank_turns * 2.0 * np.pi / model.sweep.crank_angle.size
     if drive.ring:
@@ -557,8 +562,8 @@ def depth_as_printed(model: WearModel, crank_turns: float) -> tuple[LoadedContac
     loaded-contact-wear equations 21 and 22. The paper does not state which pressure p is; with the mean one the gear's
     largest depth is nearest to its 60 µm.
     """
-    drive = rigid_problem(DriveValue(model.pair, model.surface), model.unworn.gear.shape[3])
-    contacts = loaded_contacts(drive, model.sweep.crank_angle, model.heaviest_torque)
+    held = mounted(DriveValue(model.pair, model.surface), model.unworn.gear.shape[3])
+    drive, contacts = held.problem, loaded_contacts(held, model.sweep.crank_angle, model.heaviest_torque)
     speed = velocities(drive, contacts)
     each = crank_turns * contact_coefficients(model.law, drive, contacts) * contacts.force / drive.slice_width
     return contacts, each * np.abs(speed.gear_slip), each * np.abs(speed.pin_slip)

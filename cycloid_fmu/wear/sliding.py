@@ -75,7 +75,7 @@ def slip_pole(pair: Pair) -> float:
 
 
 def velocities(drive: contact.Problem, contacts: LoadedContacts) -> Velocities:
-    """Velocities at solved contacts, of modified flanks and with the transmission error's own rate.
+    """Velocities at solved contacts, of modified flanks and with the rates of transmission error and disc's motion.
 
     Notes
     -----
@@ -83,14 +83,18 @@ def velocities(drive: contact.Problem, contacts: LoadedContacts) -> Velocities:
     along the flank by w·t/(1 + R_rp/ρ_c); the sliding is w·t minus the pin's own rotation.
     """
     teeth = drive.teeth
-    rate = np.gradient(contacts.transmission_error, contacts.crank_angle)[contacts.angle]
+    angle, disc = contacts.angle, contacts.disc
+    rate = np.gradient(contacts.transmission_error, contacts.crank_angle)[angle]
+    moved, turned = (
+        np.gradient(of, contacts.crank_angle, axis=0)[angle, disc] for of in (contacts.shift, contacts.turn)
+    )
     ring = 1.0 / (teeth + 1) + rate if drive.ring else np.zeros(rate.size)
-    gear = np.zeros(rate.size) if drive.ring else rate - 1.0 / teeth
-    crank = contacts.crank_angle[contacts.angle] + drive.crank_phase[contacts.disc]
+    gear = np.zeros(rate.size) if drive.ring else rate + turned - 1.0 / teeth
+    crank = contacts.crank_angle[angle] + drive.crank_phase[disc]
     centre = 1j * drive.eccentricity * np.exp(1j * crank)
     # The pins move with the ring about its centre; all positions are relative to the gear's centre, which moves.
     held = (drive.eccentricity * np.exp(1j * crank)) + (drive.centre_x + 1j * drive.centre_y)[contacts.slice_]
-    axis = 1j * ring * (contacts.pin_axis + held) - centre - 1j * gear * contacts.pin_axis
+    axis = 1j * ring * (contacts.pin_axis + held) - centre - moved - 1j * gear * contacts.pin_axis
     along = -(axis * np.conj(1j * contacts.normal)).real
     radius = drive.pin_radius[contacts.pin]
     per_ring = ring - 1.0

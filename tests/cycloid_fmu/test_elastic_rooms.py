@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 from common import EXAMPLES
-from test_elastic_drive import ANGLES, ELASTIC, PAIR, SOFT_CRANKS, solved
+from test_elastic_drive import ANGLES, CRANKS, ELASTIC, PAIR, SOFT_CRANKS, STIFF, solved
 
 import cycloid_fmu as cy
 from cycloid_fmu import edge
 from cycloid_fmu.analysis import solve
+from cycloid_fmu.bodies import outline
+from cycloid_fmu.bodies.disc import SECTORS, elastic_disc, nodal_forces
 from cycloid_fmu.bodies.matrices import matrices_of
 from cycloid_fmu.desk.view import look, open_desk
 from cycloid_fmu.drive_value import DriveValue
@@ -16,6 +18,7 @@ from cycloid_fmu.geometry.pair import read_pair, write_pair
 from cycloid_fmu.losses.heat import Running, at_oil_temperature, heat
 from cycloid_fmu.losses.sensitivity import motion_sensitivity, sensitivity
 from cycloid_fmu.losses.solver import solve as rub
+from cycloid_fmu.supports.disc_forces import disc_forces
 from cycloid_fmu.supports.figures import remaining
 from cycloid_fmu.supports.transmission import parameters_of
 from cycloid_fmu.surfaces.structured import displacement_layout
@@ -229,3 +232,35 @@ def test_stiffness_of_the_example_is_the_theory_page_s():
     assert [row[3] for row in rows[: len(each)]] == expected
     assert [row[4] for row in rows[: len(each) - 1]] == [f"{s * catalogue:.1%}".replace("%", " %") for s in each[:-1]]
     assert 0.45 < 1.0 - each[-2] * catalogue < 0.5  # about half, and without bodies 28 %
+
+
+# --- pictures ---
+
+
+@pytest.mark.slow(20)
+@pytest.mark.parametrize("arms", ["stiffness", "rollers"])
+def test_a_disc_s_forces_balance_and_do_twice_its_energy(arms):
+    """Reciprocity of what is drawn and of the influence in the equilibrium: u·F of the nodes is fᵀC f of the ports."""
+    supports = CRANKS.supports if arms == "rollers" else CRANKS.supports.replace(turning_arm=STIFF)
+    pair = CRANKS.replace(supports=supports, bodies={"disc": {"bore_radius": "6 mm"}})
+    body, angle = pair.bodies.disc, 1.1
+    forces = disc_forces(DriveValue.as_stated(pair), 20.0, angle)
+    expected = solve(DriveValue.as_stated(pair), [20.0], [angle], with_play=False)
+    assert forces.pin == pytest.approx(expected.pin_force[0, 0, 0], rel=1e-9)
+    along = np.exp(2j * np.pi * np.arange(SECTORS) / SECTORS) if arms == "rollers" else np.array([1.0, 1j])
+    assert np.abs(forces.arm @ along) == pytest.approx(expected.turning_arm_force[0, 0, 0], rel=1e-9)
+    flank, normal = outline.flank_at(pair, 0, 2.0 * np.pi * np.arange(10) / 10 + angle / 9)
+    total = (-normal * forces.pin).sum() + (forces.arm @ along).sum()
+    assert abs(total) < 2e-3 * forces.pin.sum()
+    moment = (np.conj(flank) * -normal * forces.pin).imag.sum()
+    assert moment == pytest.approx(-0.5 * 20.0, rel=0.1)
+    elastic = elastic_disc(pair, body, 0)
+    nodal = nodal_forces(elastic, pair, body, 0, angle, forces)
+    between = matrices_of(pair, pair.bodies).discs[0].at(angle, "sector" if arms == "rollers" else "bore")
+    of_ports = np.concatenate([forces.pin, forces.arm.ravel()])
+    assert nodal @ elastic.displacement(nodal[:, None])[:, 0] == pytest.approx(of_ports @ between @ of_ports, rel=5e-3)
+
+
+def test_forces_on_a_rigid_disc_are_refused():
+    with pytest.raises(edge.InputError, match=r"no \[bodies.disc\]"):
+        disc_forces(DriveValue.as_stated(SOFT_CRANKS), 20.0, 0.3)
