@@ -1,9 +1,11 @@
 """Common behaviour of the three command lines."""
 
 import contextlib
+import ctypes
 import importlib
 import io
 import re
+import signal
 import subprocess
 import sys
 import threading
@@ -57,6 +59,21 @@ def test_exit_status(problem, status, ran):
     code, _, error = ran(app, "fail")
     assert code == status
     assert ("Interrupted" in error) == (status == 130)
+
+
+def test_an_interrupt_in_a_library_s_callback_ends_the_command(ran):
+    """There Python can't raise it; the compiler then failed with an error of its own."""
+    app = commands.command_line("some-command", "Is interrupted.")
+    interrupted = ctypes.CFUNCTYPE(None)(lambda: signal.raise_signal(signal.SIGINT))
+
+    @app.command()
+    def fail() -> None:
+        interrupted()
+        raise RuntimeError("no compiled object yet")
+
+    code, _, error = ran(app, "fail")
+    assert code == 130
+    assert error.strip() == "Interrupted; finished results are kept."
 
 
 @pytest.mark.system

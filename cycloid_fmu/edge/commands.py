@@ -59,6 +59,7 @@ _SETTINGS: dict[str, Any] = {
 }
 _QUIET, _LONGEST_QUIET = 10.0, 30.0  # seconds between the lines of a progress that is written to a file
 _FORESEEN, _LONG = 3.0, 20.0  # seconds after which a computation is announced that takes at least so long
+_INTERRUPTED = "Interrupted; finished results are kept."
 _SHORT = 0.5  # seconds: shorter computations show no bar, as its package is slow to load
 _WIDE = 40  # characters; longer cells may be wrapped at spaces in a narrow terminal
 _FEW, _MAIN = 8, 6  # the help of a command with more than 8 options shows 6 of them first
@@ -245,15 +246,24 @@ def _leave(status: list[int]) -> None:
         os._exit(status[0])
 
 
+class _Unraisable:
+    """Hook for exceptions that Python can't raise: an interrupt in a callback of the compiler, which fails then."""
+
+    is_interrupted = False
+
+    def __call__(self, complaint: Any) -> None:
+        self.is_interrupted |= issubclass(complaint.exc_type, KeyboardInterrupt)
+
+
 def run(app: typer.Typer) -> NoReturn:
     """Run a command line; the exit code is 2 after invalid input, 130 after an interrupt and 1 after a failure."""
-    debug = bool(os.environ.get("CYCLOID_TRACEBACK"))
+    debug, unraisable = bool(os.environ.get("CYCLOID_TRACEBACK")), _Unraisable()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     # Objects made on import are permanent: scanning them for garbage took a tenth of a short command.
     gc.set_threshold(100_000)
     if not debug:  # logs and finalizer errors of libraries only repeat our own sentence
         logging.disable(logging.CRITICAL)
-        sys.unraisablehook = lambda complaint: None
+        sys.unraisablehook = unraisable
     shown = warnings.showwarning
 
     def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
@@ -277,11 +287,14 @@ def run(app: typer.Typer) -> NoReturn:
         sys.exit(BAD_INPUT)
     except (KeyboardInterrupt, typer.Abort) as problem:
         ended = isinstance(problem.__cause__, EOFError)
-        _say("The input ended." if ended else "Interrupted; finished results are kept.")
+        _say("The input ended." if ended else _INTERRUPTED)
         sys.exit(FAILED if ended else INTERRUPTED)
     except Exception as problem:
         if debug:
             raise
+        if unraisable.is_interrupted:
+            _say(_INTERRUPTED)
+            sys.exit(INTERRUPTED)
         if isinstance(problem, OSError) and problem.filename is not None and problem.strerror is not None:
             _say(f"{problem.filename}: {problem.strerror}.")
         else:
