@@ -76,7 +76,7 @@ _LEVERS = (  # what may be changed for that, its unit and what it is of, shown u
     ("length", "mm of length", 1e3, 2.0),
     ("life", "h of life", 1.0 / 3600.0, 0.25),
 )
-_ADAPTED = 5  # times that face width and eccentric bearing are adapted to the drive on its bearings
+_ADAPTED = 8  # times that face width and eccentric bearing are adapted to the drive on its bearings
 _SAFETY = 1.5  # of output pins against bending fatigue
 _OUTPUT_STEEL = "case-hardened steel"
 _AS_WIDE = "as wide as the eccentric bearing"
@@ -587,7 +587,7 @@ def _held(wish: Wish, pair: Pair, process: Process, pressure: float) -> tuple[_O
 
     Where the wish has elastic bodies the drive has them too. The bearing is one that lives as long as wished.
     """
-    most, capacity = _widest(wish), 0.0
+    most, capacity, held, reached = _widest(wish), 0.0, pair, math.inf
     for _ in range(_ADAPTED):
         output = _output(wish, pair, process, capacity)
         if pair.face_width < output.bearing_width:
