@@ -10,6 +10,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from types import TracebackType
 from typing import Self
 
+import numpy as np
 import pyarrow as pa
 import pydantic
 
@@ -25,6 +26,7 @@ from drivers.recording_format.schema import (
     FloatArray,
     Header,
     Samples,
+    channel_column,
     header_checksum,
     joined,
     recording_metadata,
@@ -312,8 +314,7 @@ class RecordingReader:
 def _preamble(schema: pa.Schema, names: Sequence[str]) -> bytes:
     """Return the start of a stream up to an empty batch: the schema and the dictionary of channel names."""
     sink = pa.BufferOutputStream()
-    columns = [pa.DictionaryArray.from_arrays(pa.array([], pa.int16()), pa.array(names, pa.string()))]
-    columns += [pa.array([], kind) for kind, _, _ in COLUMNS.values()]
+    columns = [channel_column(np.zeros(0, np.int16), names), *(pa.nulls(0, kind) for kind, _, _ in COLUMNS.values())]
     with pa.ipc.new_stream(sink, schema) as stream:
         stream.write_batch(pa.RecordBatch.from_arrays(columns, schema=schema))
     return bytes(sink.getvalue())[: -len(END_OF_STREAM)]

@@ -235,13 +235,30 @@ def recording_schema(header: Header) -> pa.Schema:
 
 def record_batch(samples: Samples, schema: pa.Schema, names: Sequence[str]) -> pa.RecordBatch:
     """Return samples as a batch of a recording's table; ValueError if its channel is none of `names`."""
-    n = len(samples)
-    index = np.full(n, list(names).index(samples.channel), np.int16)
-    columns = [pa.DictionaryArray.from_arrays(pa.array(index), pa.array(names, pa.string()))]
-    for name, (kind, _, _) in COLUMNS.items():
-        array = getattr(samples, name)
-        columns.append(pa.nulls(n, kind) if array is None else pa.array(array, kind))
+    index = np.full(len(samples), list(names).index(samples.channel), np.int16)
+    columns = [channel_column(index, names)]
+    for name, dtype in _BYTES_OF:
+        array, kind = getattr(samples, name), COLUMNS[name][0]
+        columns.append(
+            pa.nulls(len(samples), kind) if array is None else _column(np.ascontiguousarray(array, dtype), kind)
+        )
     return pa.RecordBatch.from_arrays(columns, schema=schema)
+
+
+def channel_column(index: npt.NDArray[np.int16], names: Sequence[str]) -> pa.DictionaryArray:
+    """Return the column of channels, whose dictionary is all the names."""
+    texts = [name.encode() for name in names]
+    ends = np.cumsum([0, *map(len, texts)], dtype=np.int32)
+    dictionary = pa.StringArray.from_buffers(len(texts), pa.py_buffer(ends), pa.py_buffer(b"".join(texts)))
+    return pa.DictionaryArray.from_arrays(_column(index, pa.int16()), dictionary)
+
+
+def _column(array: npt.NDArray[Any], kind: pa.DataType) -> pa.Array:
+    """Return a contiguous array of the same type as a column without nulls; they share their memory.
+
+    pa.array would import pandas, which holds up the first batch of a recording, on a slow machine for seconds.
+    """
+    return pa.Array.from_buffers(kind, len(array), [None, pa.py_buffer(array)])
 
 
 def joined(name: str, blocks: Sequence[Samples], *, fill: bool = False) -> Samples:

@@ -15,7 +15,7 @@ from cycloid_fmu import __version__, edge
 from cycloid_fmu.draw.figure import figure_of_names
 from cycloid_fmu.draw.pages import A4, HEADING, MONOSPACED, made_now, text_pages
 from fitting.figures.budget import BUDGET_HEAD, budget_rows
-from fitting.figures.figure import Figure, in_field_units
+from fitting.figures.figure import DEFINITIONS, Figure, in_field_units
 from fitting.figures.metrics import FRICTION_FREE, Figures
 from fitting.figures.orders import ORDERS_HEAD, order_rows
 from fitting.reports.page import html_page
@@ -25,9 +25,9 @@ FORMATS = (".html", ".pdf")
 
 
 def title_of(name: str) -> str:
-    """Return a figure's name as a heading."""
+    """Return a figure's name as a heading: of two with the same name, one with friction, that without says so."""
     own = name.removeprefix(FRICTION_FREE)
-    return own.replace("_", " ").capitalize() + (" without friction" if own != name else "")
+    return own.replace("_", " ").capitalize() + (" without friction" if own != name and own in DEFINITIONS else "")
 
 
 def write_figures_report(figures: Figures, path: str | os.PathLike[str]) -> None:

@@ -279,6 +279,25 @@ def test_a_recording_of_the_first_version_reads_as_arrow_alone_reads_it(tmp_path
         assert recording.clock("input_angle") is not None
 
 
+FIRST_BATCH = """
+import sys
+from drivers.recording_format import Channel, Header, RecordingWriter, Samples
+channel = Channel("torque", "torque", "canopen", "N*m", None, 1, 0.0, "absolute", "node 1", "SYNC")
+with RecordingWriter(sys.argv[1], Header((channel,), {}, None, "", "2025-01-01T00:00:00Z")) as writer:
+    before = set(sys.modules)
+    writer.write(Samples.checked("torque", [0.0], [1.0]))
+    print(*set(sys.modules) - before)
+"""
+
+
+def test_the_first_batch_waits_for_no_import(tmp_path):
+    """One of pandas, by Arrow, kept the first samples from the file for up to seconds."""
+    run = subprocess.run(
+        [sys.executable, "-c", FIRST_BATCH, tmp_path / "run.arrows"], capture_output=True, text=True, check=True
+    )
+    assert run.stdout.split() == []
+
+
 def test_a_missing_batch_is_reported(tmp_path):
     path = tmp_path / "run.arrows"
     with RecordingWriter(path, HEADER) as writer:

@@ -12,6 +12,7 @@ from test_metrics import ARCMIN, ARCSEC, KNOWN, loop, recording, run_with
 
 from cycloid_fmu.geometry.pair import read_pair
 from fitting.figures.metrics import figures_of
+from fitting.reports.figures_report import title_of
 from fitting.reports.page import html_page
 from fitting.reports.panels import Panel, Trace, names_above, order_name, panels_of
 from fitting.reports.report import report
@@ -37,6 +38,12 @@ def test_the_orders_are_named_by_what_makes_them(nominal):
         assert names == {1: "rig", 39: "pin", 40: "tooth", 41: "", 78: "pin", 120: "tooth", 1560: "mesh"}
     assert order_name(39, -39.0, None) == order_name(78, -39.0, None) == "input turn"
     assert order_name(40, -39.0, None) == ""
+
+
+def test_headings_differ_and_none_denies_itself(found):
+    titles = [title_of(name) for name in found.shown]
+    assert len(set(titles)) == len(titles)
+    assert {"Friction torque", "Torsional stiffness", "Torsional stiffness without friction"} <= set(titles)
 
 
 @pytest.fixture(scope="module")

@@ -75,9 +75,7 @@ GIVEN = {
         {SIMULATE} --torque '-20 N*m' --bus bus.toml --write-bench BENCH.toml &
     """,
     "own_motor": f"""
-        cycloid-fmu example drive-39-40.toml -o drive.toml
         python -c "{RAMP}"
-        cycloid-fit inspect ramp.csv -o ramp.toml
     """,
     "README": f"""{RUNS}{LOOP}
         {BUS.replace("GROUP", "239.74.163.78")}
