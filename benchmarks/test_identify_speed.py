@@ -129,14 +129,14 @@ def plain_fit(pair, curves):
 def test_identification_against_the_plain_way(benchmark, monkeypatch):
     pair = read_pair(PAIR)
     solved = 0
-    kernel = fitting.model.observations.error_sensitivity
+    kernel = fitting.model.observations.curve_sensitivity
 
-    def counted(pair, surface, torque, angles, names):
+    def counted(drive, torque, angles, *others):
         nonlocal solved
         solved += np.size(angles)
-        return kernel(pair, surface, torque, angles, names)
+        return kernel(drive, torque, angles, *others)
 
-    monkeypatch.setattr(fitting.model.observations, "error_sensitivity", counted)
+    monkeypatch.setattr(fitting.model.observations, "curve_sensitivity", counted)
     identify([c.points(slice(None, 100)) for c in drive(pair, 0)[0]], Drive(pair), held_out=False)
     rows = {"identify": [], "plain": []}
 
