@@ -189,7 +189,9 @@ def _print_allocation(found: Findings, allocation: Allocation) -> None:
             cost = tolerances.costs.get(name, 1.0) / scale
             rows.append([name, field, f"{width:.3g} {unit}", f"{width * scale:.3g} {unit}", f"{cost:.3g}"])
     commands.print_table("Cheapest tolerances", ["tolerance", "", "stated", "allocated", "cost"], rows)
+    low, high = allocation.exact_interval
     typer.echo(
-        f"Yield {allocation.exact_yield:.2%} (as stated {allocation.stated_yield:.2%}), cost {allocation.cost:.4g} "
-        f"(as stated {allocation.stated_cost:.4g}), cost inverse to the width, confirmed by other drives."
+        f"Yield of other drives {allocation.exact_yield:.2%} (95 % interval {low:.2%} … {high:.2%}), as stated "
+        f"{allocation.stated_yield:.2%}; cost, inverse to the width, {allocation.cost:.4g}, as stated "
+        f"{allocation.stated_cost:.4g}."
     )
