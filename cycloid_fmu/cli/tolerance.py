@@ -43,7 +43,9 @@ def tolerance(
             ("sobol", "latin-hypercube", "saltelli"), "Sampling method; saltelli also gives Sobol indices."
         ),
     ] = "sobol",
-    angles: Annotated[int, typer.Option(min=20, help="Crank angles from 0, end excluded; each tenth for play.")] = ANGLES,
+    angles: Annotated[
+        int, typer.Option(min=20, help="Crank angles from 0, end excluded; each tenth for play.")
+    ] = ANGLES,
     turns: Annotated[int, typer.Option(min=1, help="Number of crank turns that the angles span.")] = 1,
     workers: Annotated[int, typer.Option(min=1, help="Processes.")] = os.cpu_count() or 1,
     scheduler: Annotated[
