@@ -43,7 +43,9 @@ def tolerance(
             ("sobol", "latin-hypercube", "saltelli"), "Sampling method; saltelli also gives Sobol indices."
         ),
     ] = "sobol",
-    angles: Annotated[int, typer.Option(min=20, help="Number of crank angles from 0, end excluded.")] = ANGLES,
+    angles: Annotated[
+        int, typer.Option(min=20, help="Crank angles from 0, end excluded; each tenth for play.")
+    ] = ANGLES,
     turns: Annotated[int, typer.Option(min=1, help="Number of crank turns that the angles span.")] = 1,
     workers: Annotated[int, typer.Option(min=1, help="Processes.")] = os.cpu_count() or 1,
     scheduler: Annotated[
@@ -189,7 +191,9 @@ def _print_allocation(found: Findings, allocation: Allocation) -> None:
             cost = tolerances.costs.get(name, 1.0) / scale
             rows.append([name, field, f"{width:.3g} {unit}", f"{width * scale:.3g} {unit}", f"{cost:.3g}"])
     commands.print_table("Cheapest tolerances", ["tolerance", "", "stated", "allocated", "cost"], rows)
+    low, high = allocation.exact_interval
     typer.echo(
-        f"Yield {allocation.exact_yield:.2%} (as stated {allocation.stated_yield:.2%}), cost {allocation.cost:.4g} "
-        f"(as stated {allocation.stated_cost:.4g}), cost inverse to the width, confirmed by other drives."
+        f"Yield of other drives {allocation.exact_yield:.2%} (95 % interval {low:.2%} … {high:.2%}), as stated "
+        f"{allocation.stated_yield:.2%}; cost, inverse to the width, {allocation.cost:.4g}, as stated "
+        f"{allocation.stated_cost:.4g}."
     )

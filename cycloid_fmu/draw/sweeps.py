@@ -41,7 +41,7 @@ def plot_sweep(data: xr.Dataset) -> Figure:
     draw = _draw_lines if len(several) == 1 else _draw_map
     for axis, name in zip(axes, figures, strict=False):
         unit, factor = SHOWN[section[name].attrs["units"]]
-        label = label_of("share_of_loaded_pins" if name == "loaded_pins" else name, unit).replace(" [", "\n[")
+        label = label_of(name, unit).replace(" [", "\n[")
         largest = float(np.nan_to_num(np.abs(section[name].values)).max()) * factor
         draw(axis, section[name] * factor, several, label, max(_SHARE * largest, _ACCURACY.get(unit, 0.0)))
     held = [

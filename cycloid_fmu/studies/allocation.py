@@ -39,6 +39,8 @@ class Allocation:
         Sum of the tolerances' relative costs, found and as stated.
     exact_yield
         Share of new drives that keep all limits; at least the required yield.
+    exact_interval
+        Lower and upper end of its Clopper-Pearson interval at 95 %.
     stated_yield
         Share of the drives on which the tolerances are found that keep them with the tolerances as stated.
     """
@@ -47,6 +49,7 @@ class Allocation:
     cost: float
     stated_cost: float
     exact_yield: float
+    exact_interval: tuple[float, float]
     stated_yield: float
 
 
@@ -105,14 +108,15 @@ def allocate(
         scale = _cheapest(few, target, costs, scale, region, here, slopes)
         progress(1)
     others = dataclasses.replace(study, seed=study.seed + 1)
-    while (exact_yield := yields(run(scaled(others, scale), **machines))["all"]["share"]) < target:
+    while (whole := yields(run(scaled(others, scale), **machines))["all"])["share"] < target:
         progress(0)
         scale = _NARROWER * scale
         if scale.max() < NARROWEST:
             problem = f"no tolerances of {source}, narrowed to {NARROWEST:g} of their width, reach it"
             raise edge.ArgumentError("target", f"{problem}; widen a limit or require a lower yield", target)
     progress(1)
-    return Allocation(scale, float((costs / scale).sum()), float(costs.sum()), exact_yield, stated_yield or 0.0)
+    cost, interval = float((costs / scale).sum()), (whole["low"], whole["high"])
+    return Allocation(scale, cost, float(costs.sum()), whole["share"], interval, stated_yield or 0.0)
 
 
 def steps() -> int:

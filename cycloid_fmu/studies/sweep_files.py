@@ -66,7 +66,8 @@ def write(data: xr.Dataset, path: str | os.PathLike[str]) -> None:
 def label_of(name: str, unit: str) -> str:
     """Return the label of a figure or a varied value, with its unit."""
     shown = unit.replace("um", "µm").replace("*", "·").replace("degC", "°C")
-    return name.replace("_", " ") + ("" if unit == "1" else f" [{shown}]")
+    words = "share of loaded pins" if name == "loaded_pins" else name.replace("_", " ")
+    return words + ("" if unit == "1" else f" [{shown}]")
 
 
 def varied_names(data: xr.Dataset) -> list[str]:

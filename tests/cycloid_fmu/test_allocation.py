@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from common import EXAMPLES
+from scipy.stats import beta
 
 from cycloid_fmu import edge
 from cycloid_fmu.analysis import solve
@@ -52,6 +53,10 @@ def test_allocation_is_the_optimum_of_two_linear_errors(room):
     found = allocate(study, 0.9, "t.toml", progress=reported.append)
     assert sum(reported) == steps()
     assert 0.9 <= found.exact_yield < 0.92
+    drives = 400
+    good = round(found.exact_yield * drives)
+    ends = beta.ppf(0.025, good, drives - good + 1), beta.ppf(0.975, good + 1, drives - good)
+    assert found.exact_interval == pytest.approx(ends)  # Clopper and Pearson 1934, by the beta distribution
     slope = []
     for name, width in (("pin_radius", 2e-6), ("pin_circle_radius", 2e-6)):
         changed = dataclasses.replace(nominal_surface(DRIVE), **{name: width})

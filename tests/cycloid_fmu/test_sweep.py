@@ -367,6 +367,7 @@ def test_the_command_prints_draws_and_says_what_is_missing(command, tmp_path):
     assert one.returncode == 0, one.stderr
     assert "1 of 2 drives are not shown or incomplete: no free position: interference of" in one.stderr
     assert "offset -40 um" in one.stdout
+    assert "share of loaded pins" in one.stdout  # a share of 1, not a number of pins
     two = command(*words, "--vary", "offset=-40,-30 um", "--vary", "pin_radius=2.9,3 mm", "--json")
     found = json.loads(two.stdout)
     assert np.shape(found["backlash"]) == (2, 2)
