@@ -479,13 +479,10 @@ def test_contradictory_supports_are_refused_in_a_sentence(more, sentence):
     assert "\n" not in str(problem.value)
 
 
-def test_what_does_not_know_bearings_says_so():
-    """Nothing quietly answers for a drive on rigid bearings."""
-    drive = cy.Drive(parse_pair(SUPPORTED, "p.toml"))
-    with pytest.raises(edge.InputError, match="supports"):
-        drive.wear(EXAMPLES / "wear.toml", 100.0, 1e6)
+def test_a_drive_on_bearings_needs_its_rated_torque():
+    pair = parse_pair(SUPPORTED, "p.toml").replace(rated_torque=None)
     with pytest.raises(edge.InputError, match="rated_torque is missing"):
-        solved(drive.pair.replace(rated_torque=None), [100.0])
+        solved(pair, [100.0])
 
 
 @settings(max_examples=6, deadline=None)
