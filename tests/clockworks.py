@@ -1,5 +1,7 @@
 """Drives in time for the tests: variables as attributes, a step in one call."""
 
+import math
+
 from cycloid_fmu.fmu.clockwork import Clockwork, StepError
 from cycloid_fmu.fmu.friction import FLANGES
 from cycloid_fmu.fmu.variables import ABSOLUTE, ATTRIBUTES, LOSSLESS, Interface
@@ -68,3 +70,35 @@ def kinematic_drive(drive, losses=LOSSLESS):
 def compliant_drive(drive, losses=LOSSLESS, output_inertia=0.0, crank_inertia=0.0):
     driven = "crank" if drive.first_stage is None else "sun"
     return Drive(drive, Interface("compliant", output_inertia, losses, driven, crank_inertia))
+
+
+def torques_of_energy(model, crank, output):
+    """Differences of a model's stored energy by both flanges' angles, N·m; the model is left at these angles."""
+
+    def energy(crank, output):
+        model.crank_angle, model.output_angle = crank, output
+        return model.elastic_energy
+
+    by_crank = (energy(crank + 1e-6, output) - energy(crank - 1e-6, output)) / 2e-6
+    by_output = (energy(crank, output + 1e-8) - energy(crank, output - 1e-8)) / 2e-8
+    model.crank_angle, model.output_angle = crank, output
+    return by_crank, by_output
+
+
+def check_restored(model, other, steps, torque):
+    """A state restores exactly, also in another instance: kinematic drives under a torque of this amplitude, N·m."""
+
+    def run(model, start):
+        outputs = []
+        for i in range(start, start + steps):
+            model.crank_angle, model.torque, model.crank_speed = 0.03 * i, torque * math.sin(i), 30.0
+            model.advance()
+            outputs.append((model.output_angle, model.crank_torque, model.output_speed, model.max_contact_pressure))
+        return outputs
+
+    run(model, 0)
+    state = model.state()
+    wanted = run(model, steps)
+    model.restore(state)
+    other.restore(state)
+    assert run(model, steps) == run(other, steps) == wanted

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from clockworks import compliant_drive, kinematic_drive
+from clockworks import compliant_drive, kinematic_drive, torques_of_energy
 from common import PAIR, study_size
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -91,15 +91,7 @@ class Work:
 def test_both_torques_are_derivatives_of_the_stored_energy(compliance, backlash_on):
     model = compliant(series_compliance=compliance, backlash_on=backlash_on)
     for crank, deviation in ((0.3, 2.3e-4), (2.0, -2.6e-4), (5.5, 3.1e-4)):
-
-        def energy(crank, output):
-            model.crank_angle, model.output_angle = crank, output
-            return model.elastic_energy
-
-        output = crank / PLAY.ratio + deviation
-        by_crank = (energy(crank + 1e-6, output) - energy(crank - 1e-6, output)) / 2e-6
-        by_output = (energy(crank, output + 1e-8) - energy(crank, output - 1e-8)) / 2e-8
-        model.crank_angle, model.output_angle = crank, output
+        by_crank, by_output = torques_of_energy(model, crank, crank / PLAY.ratio + deviation)
         assert abs(model.torque) > 10.0
         assert model.crank_torque == pytest.approx(by_crank, rel=1e-5)
         assert model.torque == pytest.approx(by_output, rel=1e-5)

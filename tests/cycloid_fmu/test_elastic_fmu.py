@@ -9,7 +9,7 @@ import fmpy
 import numpy as np
 import platformdirs
 import pytest
-from clockworks import compliant_drive, kinematic_drive
+from clockworks import check_restored, compliant_drive, kinematic_drive, torques_of_energy
 from test_elastic_drive import CRANKS, ELASTIC, PAIR, PINS, SOFT_CRANKS, STIFF, solved
 
 import cycloid_fmu as cy
@@ -62,15 +62,7 @@ def test_the_kinematic_model_is_the_analysis(name):
 
 def check_energy(model, crank, deviation):
     """Both torques are differences of the stored energy, which is above zero under load."""
-
-    def energy(crank, output):
-        model.crank_angle, model.output_angle = crank, output
-        return model.elastic_energy
-
-    output = crank / model.ratio + deviation
-    by_crank = (energy(crank + 1e-6, output) - energy(crank - 1e-6, output)) / 2e-6
-    by_output = (energy(crank, output + 1e-8) - energy(crank, output - 1e-8)) / 2e-8
-    model.crank_angle, model.output_angle = crank, output
+    by_crank, by_output = torques_of_energy(model, crank, crank / model.ratio + deviation)
     assert model.crank_torque == pytest.approx(by_crank, rel=1e-5, abs=1e-5)
     assert model.torque == pytest.approx(by_output, rel=1e-5, abs=1e-4)
     assert abs(model.torque) > 3.0
@@ -146,22 +138,9 @@ def test_bodies_without_compliance_are_rigid_ones():
 
 @pytest.mark.parametrize("name", DRIVES)
 def test_a_state_restores_exactly_also_in_another_instance(name):
-    def run(model, start):
-        found = []
-        for i in range(start, start + 8):
-            model.crank_angle, model.torque, model.crank_speed = 0.03 * i, 20.0 * math.sin(i), 30.0
-            model.advance()
-            found.append((model.output_angle, model.crank_torque, model.output_speed, model.max_contact_pressure))
-        return found
-
     model, other = kinematic_drive(drive(name)), kinematic_drive(drive(name))
     model.friction_torque = 1.0
-    run(model, 0)
-    state = model.state()
-    wanted = run(model, 8)
-    model.restore(state)
-    other.restore(state)
-    assert run(model, 8) == run(other, 8) == wanted
+    check_restored(model, other, 8, 20.0)
 
 
 def test_a_refused_step_changes_nothing():

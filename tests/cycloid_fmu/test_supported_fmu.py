@@ -8,7 +8,7 @@ import math
 import fmpy
 import numpy as np
 import pytest
-from clockworks import compliant_drive, kinematic_drive
+from clockworks import check_restored, compliant_drive, kinematic_drive
 from common import ARCSEC, DATA
 
 import cycloid_fmu as cy
@@ -146,22 +146,9 @@ def test_with_inertias_inside_work_is_stored_lost_or_given_back(case):
 
 
 def test_a_state_restores_exactly_also_in_another_instance():
-    def run(model, start):
-        found = []
-        for i in range(start, start + 12):
-            model.crank_angle, model.torque, model.crank_speed = 0.03 * i, 40.0 * math.sin(i), 30.0
-            model.advance()
-            found.append((model.output_angle, model.crank_torque, model.output_speed, model.max_contact_pressure))
-        return found
-
     model, other = kinematic_drive(drive("rollers")), kinematic_drive(drive("rollers"))
     model.friction_torque = 3.0
-    run(model, 0)
-    state = model.state()
-    wanted = run(model, 12)
-    model.restore(state)
-    other.restore(state)
-    assert run(model, 12) == run(other, 12) == wanted
+    check_restored(model, other, 12, 40.0)
 
 
 def test_friction_and_play_hold_the_output_between_both_directions():
