@@ -134,3 +134,5 @@ def _draw_forces(axis: Axes, pair: Pair, body: DiscBody, disc: int, crank_angle:
                 tail, head = (at - arrow, at) if ends else (at, at + arrow)
                 arrows = {"arrowstyle": "->", "color": "C3", "linewidth": 1.2}
                 axis.annotate("", (head.real, head.imag), (tail.real, tail.imag), arrowprops=arrows)
+                axis.update_datalim([(tail.real, tail.imag), (head.real, head.imag)])  # else arrows cover the title
+    axis.autoscale_view()
