@@ -14,9 +14,11 @@ from fitting.estimation.fit import Estimate
 from fitting.estimation.parameter import NORMAL, Parameter, parameter
 from fitting.model.bearings import as_stated, is_logarithmic, unit_of_bearing
 from fitting.model.discrepancy import LAG, by_lag
+from fitting.model.gaussian import Evidence
 from fitting.model.losses import SCATTER_OF_COEFFICIENTS, is_coefficient
 from fitting.model.observations import MISFIT, Linear, Observations, form_columns
 from fitting.model.prior import tolerances_of
+from fitting.model.unknowns import Unknowns
 
 Array = NDArray[np.float64]
 
@@ -46,7 +48,11 @@ def moved_by_held(fit: Estimate, names: Sequence[str]) -> Array:
     """
     held = fit.linear.structured[:, [fit.observed.errors.index(n) for n in names]]
     held = held * tolerances_of(names, fit.observed.profile) * fit.observed.weight[:, None]
-    moved: Array = fit.posterior.solve(fit.columns.T @ held) * fit.unknowns.scale[:, None]
+    # Estimates of earlier measurements have moved with the same errors: with them as a prior that does not move, each
+    # error that the fitted ones represent would seem to contradict it.
+    alone = Unknowns(fit.pair, dataclasses.replace(fit.observed, earlier=None), fit.chosen)
+    posterior = Evidence.of(fit.columns).posterior(alone.precision(fit.scatter), along=alone.along(fit.vector))
+    moved: Array = posterior.solve(fit.columns.T @ held) * fit.unknowns.scale[:, None]
     return moved
 
 

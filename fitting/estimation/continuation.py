@@ -21,6 +21,7 @@ from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.geometry.bodies import Bodies
 from cycloid_fmu.geometry.pair import Pair, parse_pair
+from cycloid_fmu.geometry.supports import Supports
 from cycloid_fmu.surfaces.structured import profile_wave, with_structured
 from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.estimation.explanation import GAIN
@@ -28,7 +29,7 @@ from fitting.estimation.fit import Estimate, fit
 from fitting.estimation.result import FORMAT, Identification, read_lmfit_parameters, result_of
 from fitting.estimation.starts import first_sizes
 from fitting.estimation.validation import Likely, Residual, Verdict, likely_causes, verdict_of
-from fitting.model.bearings import PLAY
+from fitting.model.bearings import BEARINGS, PLAY, stiffness_shares
 from fitting.model.discrepancy import causes
 from fitting.model.first_stage import with_play
 from fitting.model.observations import (
@@ -120,16 +121,24 @@ def refuse_with_prior(**given: object) -> None:
 def identified(
     curves: Sequence[Curve],
     earlier: Posterior,
+    stated: Pair,
     profiled: Sequence[str],
     bootstrap: int,
     form: float,
     progress: Callable[[str], None],
 ) -> Identification:
-    """Return the result of `continued`; the arguments are those of `fitting.identify`, the form in m."""
+    """Return the result of `continued`, its bearings as fractions of the stated pair's.
+
+    The other arguments are those of `fitting.identify`, the form in m.
+    """
     with threadpool_limits(limits=1, user_api="blas"):
         estimate, verdict, sizes = continued(curves, earlier, progress)
         form = 0.0 if estimate.observed.profile else form
-        return result_of(estimate, verdict, None, sizes, profiled, bootstrap, (), form, progress)
+        result = result_of(estimate, verdict, None, sizes, profiled, bootstrap, (), form, progress)
+    shares = stiffness_shares(earlier.drive.pair, stated)
+    return dataclasses.replace(
+        result, bearings=tuple(unknown.times(shares.get(unknown.name, 1.0)) for unknown in result.bearings)
+    )
 
 
 def _sizes(earlier: Posterior) -> dict[str, float]:
@@ -175,17 +184,31 @@ _NO_POSTERIOR = (
 
 
 def _is_of(fitted: Pair, nominal: Pair) -> bool:
-    """Whether a fitted pair is a nominal one, except for its bearings and the stiffness of its bodies."""
-    if (fitted.supports is None) != (nominal.supports is None) or _by_dimensions(fitted) != _by_dimensions(nominal):
-        return False
-    bare, of_nominal = (pair.nominal.replace(supports=None, bodies=None).text for pair in (fitted, nominal))
-    return bool(bare == of_nominal)
+    """Whether a fitted pair is a nominal one, except for what a fit changes: its bearings, bodies and friction."""
+    return _unfitted(fitted) == _unfitted(nominal)
 
 
-def _by_dimensions(pair: Pair) -> Bodies | None:
-    """Return a pair's elastic bodies without factors on their stiffness."""
-    bodies = pair.bodies
-    return bodies and bodies.with_factors({name: None for name, _ in bodies.stated()})
+def _unfitted(pair: Pair) -> tuple[str, Supports | None, Bodies | None, bool]:
+    """Return what no fit changes: gears, bearings and bodies without their sizes, and whether there is friction."""
+    bodies = pair.bodies and pair.bodies.with_factors({name: None for name, _ in pair.bodies.stated()})
+    gears = pair.nominal.replace(supports=None, bodies=None, losses=None).text
+    return gears, _without_sizes(pair.supports), bodies, pair.losses is not None
+
+
+def _without_sizes(supports: Supports | None) -> Supports | None:
+    """Return supports whose bearings have no clearance, and unit stiffness or length where they state one."""
+    if supports is None:
+        return None
+    bearings = {name: bearing for name in BEARINGS if (bearing := getattr(supports, name, None)) is not None}
+    return supports.model_copy(
+        update={
+            name: bearing.model_copy(
+                update={"clearance": 0.0}
+                | {size: 1.0 for size in ("stiffness", "roller_length") if getattr(bearing, size, None) is not None}
+            )
+            for name, bearing in bearings.items()
+        }
+    )
 
 
 def read_posterior(path: str | os.PathLike[str], drive: Drive) -> Posterior:

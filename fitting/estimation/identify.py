@@ -142,7 +142,7 @@ def identify(
     _check(curves, bootstrap, profiled, [*errors_of(pair), *usual.profile])
     if prior is not None:
         refuse_with_prior(tolerances=tolerances, parameters=parameters)
-        return identified(curves, earlier_of(prior, drive), profiled, bootstrap, shape, progress)
+        return identified(curves, earlier_of(prior, drive), drive.pair, profiled, bootstrap, shape, progress)
     if parameters is not None:
         checked(parameters, names_of(pair, observed_with(curves, pair, usual)))
         usual = dataclasses.replace(usual, constraints=Constraints.of(parameters))

@@ -36,6 +36,11 @@ class Parameter:
     held: str | None = None
     form: float = 0.0
 
+    def times(self, factor: float) -> Parameter:
+        """Return the same of a share with another reference; its standard error is of the logarithm."""
+        low, high = self.interval
+        return dataclasses.replace(self, value=self.value * factor, interval=(low * factor, high * factor))
+
 
 def parameter(
     name: str,

@@ -22,7 +22,7 @@ STIFFNESS, CLEARANCE = 0.5, 5e-6
 clearance, m."""
 CRANK_PLAY = 1e-3
 """Standard deviation of a first stage's play beside half the stated one, rad of the cranks."""
-_BEARINGS = ("turning_arm", "crank_shaft", "main", "output_roller")
+BEARINGS = ("turning_arm", "crank_shaft", "main", "output_roller")
 _OF_LENGTH = 9.0 / 8.0  # the stiffness of rollers is proportional to their length to the power 8/9 (Palmgren)
 
 
@@ -37,7 +37,7 @@ def unknown_bearings(pair: Pair, first_stage: FirstStage | None = None) -> tuple
     the free rotation of its cranks comes last.
     """
     names: list[str] = []
-    for name in _BEARINGS:
+    for name in BEARINGS:
         one = getattr(pair.supports, name, None)
         if one is None or (isinstance(one, Bearing) and one.is_rigid) or getattr(one, "rigid", False):
             continue
@@ -90,6 +90,24 @@ def as_stated(pair: Pair, changes: Array, first_stage: FirstStage | None = None)
         else:
             found.append(max(getattr(pair.supports, bearing).clearance + change, 0.0))
     return np.array(found)
+
+
+def stiffness_shares(pair: Pair, stated: Pair) -> dict[str, float]:
+    """Return each unknown stiffness of a pair over that of a stated pair with the same kinds of bearings and bodies."""
+    shares, bodies = dict[str, float](), _sizes_of_bodies(pair)
+    for name in unknown_bearings(pair):
+        part, _, what = name.rpartition("_")
+        if what != "stiffness":
+            continue
+        if part in bodies:
+            shares[name] = getattr(stated.bodies, part).compliance_factor / getattr(pair.bodies, part).compliance_factor
+            continue
+        bearing, before = getattr(pair.supports, part), getattr(stated.supports, part)
+        if bearing.stiffness is not None:
+            shares[name] = bearing.stiffness / before.stiffness
+        else:
+            shares[name] = (bearing.roller_length / before.roller_length) ** (1.0 / _OF_LENGTH)
+    return shares
 
 
 def lowest_of(pair: Pair, first_stage: FirstStage | None = None) -> Array:

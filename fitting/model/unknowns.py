@@ -187,6 +187,9 @@ class Unknowns:
     def earlier_rows(self, vector: Array) -> tuple[Array, Array]:
         """Return what earlier measurements tell as rows of the linear model at a vector.
 
+        Their model is linear about their end, from which bearings count. Windup is the sum of compliances, so it is
+        linear in these, not in the logarithms of stiffnesses.
+
         Returns
         -------
         columns, residual
@@ -195,7 +198,11 @@ class Unknowns:
         if self._before is None:
             return np.zeros((0, vector.size)), np.zeros(0)
         columns, values = self._before
-        return columns, values - columns @ vector
+        distance, slope = vector.copy(), np.ones(vector.size)
+        stiffness = [at for at in range(*self.bearings.indices(vector.size)) if self.names[at].endswith("_stiffness")]
+        slope[stiffness] = np.exp(-vector[stiffness] * self.scale[stiffness])
+        distance[stiffness] = (1.0 - slope[stiffness]) / self.scale[stiffness]
+        return columns * slope, values - columns @ distance
 
     def earlier(self, vector: Array) -> Evidence:
         """Return what earlier measurements tell at a vector."""

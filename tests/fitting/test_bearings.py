@@ -203,6 +203,37 @@ def test_a_drive_on_bearings_is_explained_and_its_bearings_are_found(tmp_path):
 
 
 @pytest.mark.slow(30)
+def test_a_fit_that_goes_on_knows_the_bearings_as_one_of_all_curves_does(tmp_path):
+    """Windup tells the sum of two compliances; about another drive the ridge of their stiffnesses has another slope."""
+    made, surface, _, generator = as_made(0, 1)
+    loads = (30.0, -30.0, 200.0, -200.0)
+    runs, further = (
+        [
+            dataclasses.replace(run_of(made, surface, load, generator, 12.37, 1), name=f"{load:g} N·m, visit {visit}")
+            for load in loads
+        ]
+        for visit in (1, 2)
+    )
+    drive = Drive(cranked(1))
+    identify(runs, drive, held_out=False).write(tmp_path / "fit.json")
+    again = identify(further, drive, prior=tmp_path / "fit.json")
+    one_fit = identify([*runs, *further], drive, held_out=False)
+    assert again.verdict.state == "explained"
+    share = (made.supports.turning_arm.roller_length / drive.pair.supports.turning_arm.roller_length) ** (8.0 / 9.0)
+    joint = {p.name: p for p in one_fit.bearings}
+    stiffnesses = [p for p in again.bearings if p.name.endswith("_stiffness")]
+    assert len(stiffnesses) == 3
+    for unknown in stiffnesses:
+        # As fractions of the drive that is given, not of the one that was found before.
+        assert unknown.interval[0] < share < unknown.interval[1], unknown.name
+        assert 0.5 < unknown.standard_error / joint[unknown.name].standard_error < 1.5, unknown.name
+        assert unknown.standard_error < 1.2 * again.posterior.deviations[unknown.name], unknown.name
+    assert again.drive.pair.supports.main.stiffness == pytest.approx(
+        drive.pair.supports.main.stiffness * next(p.value for p in stiffnesses if p.name == "main_stiffness"), rel=1e-5
+    )
+
+
+@pytest.mark.slow(30)
 def test_without_its_bearings_the_drive_is_not_explained_and_a_note_says_what_would_do():
     made, surface, _, generator = as_made(0, 1)
     runs = [run_of(made, surface, load, generator, 12.37, 1) for load in (30.0, -30.0, 200.0, -200.0)]

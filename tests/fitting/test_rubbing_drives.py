@@ -14,6 +14,7 @@ import fitting
 from cycloid_fmu.analysis import solve as frictionless
 from cycloid_fmu.drive import Drive, read_drive
 from cycloid_fmu.drive_value import DriveValue
+from cycloid_fmu.edge import InputError
 from cycloid_fmu.geometry.friction_values import VALUES
 from cycloid_fmu.geometry.losses import Losses
 from cycloid_fmu.losses.solver import solve
@@ -226,6 +227,10 @@ def test_friction_is_found_from_both_directions_and_falsifies_nothing(tmp_path):
     assert found.drive.pair.losses.flank.friction_coefficient == pytest.approx(flank.value, rel=1e-5)
     found.write(tmp_path / "fit.json")
     assert json.loads((tmp_path / "fit.json").read_text())["coefficients"][flank.name]["value"] == flank.value
+    with pytest.raises(InputError, match="fit of another drive"):
+        identify(runs, nominal(None), prior=tmp_path / "fit.json")
+    # The prior states its friction as numbers where the pair file states a range.
+    assert identify(runs[:2], nominal(), prior=tmp_path / "fit.json").verdict.state == "explained"
     assert identify(runs, nominal(None), held_out=False).verdict.state != "explained"
     # The drive of the fit, with its friction as numbers, is one that a later visit updates.
     again = recalibrate(found.drive, runs, crank_turns=1e6)
