@@ -815,6 +815,7 @@ def test_every_command_notes_a_tilt_beyond_the_first_order(tilt, noted, command,
         assert (f"tilted by {'up to ' * ('--vary' in words)}{tilt}, modelled to first order" in run.stderr) == noted, (
             words
         )
+        assert ("meet only 1 phase of the mesh" in run.stderr) == ("--angles" in words)
 
 
 def test_default_crank_angles_are_out_of_step_with_any_pins():
