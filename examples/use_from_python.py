@@ -93,7 +93,7 @@ tolerances = cy.Tolerances(
     limits={"backlash": "80 arcsec"},
 )
 print(nominal.sample(tolerances, seed=1))
-found = nominal.study(tolerances, ["181 N*m"], samples=64, angles=60, workers=1)
+found = nominal.study(tolerances, ["181 N*m"], samples=64, angles=61, workers=1)
 for limit, value in found.yields.items():
     print(limit, {name: round(number, 3) for name, number in value.items()})
 cy.plot(found, OUT / "study.png")

@@ -11,4 +11,5 @@ from cycloid_fmu.analysis.solver import sensitivity as sensitivity
 from cycloid_fmu.analysis.solver import solve as solve
 from cycloid_fmu.analysis.validity import interference_notes as interference_notes
 from cycloid_fmu.analysis.validity import notes as notes
+from cycloid_fmu.analysis.validity import step_notes as step_notes
 from cycloid_fmu.analysis.validity import tilt_notes as tilt_notes

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -16,6 +17,7 @@ from cycloid_fmu.geometry.temperature import missing_for_clearances
 Array = NDArray[np.float64]
 _LARGEST_TILT_ERROR = 0.02 / edge.ARCSEC  # rad
 _LARGEST_HALF_WIDTH = 0.25  # of the pin's radius: Hertz's half space ends there
+_PHASES = 24  # of the mesh: as many show the ripple of the 39/40 example within 5 %
 
 
 def tilt_error(pair: Pair, tilt: ArrayLike) -> Array:
@@ -112,4 +114,31 @@ def interference_notes(found: Transmission) -> list[str]:
     return [
         f"Without load flanks and pins interfere by up to {found.interference.max() * 1e6:.3g} um{pressed}: there is "
         "no play between them. To remove material, take an isometric above zero or an offset below zero."
+    ]
+
+
+def step_notes(pins: int, angles: int, turns: int) -> list[str]:
+    """Return one sentence if crank angles are in step with the pins, so that few phases of the mesh are met.
+
+    Parameters
+    ----------
+    pins
+        Number of pins.
+    angles, turns
+        Number of crank angles, evenly from 0 over so many crank turns, end excluded.
+
+    Examples
+    --------
+    >>> step_notes(40, 367, 1)
+    []
+    >>> step_notes(40, 80, 1)
+    ['80 crank angles meet only 2 phases of the mesh of 40 pins: what lies between is missed; take 81.']
+    """
+    phases = angles // math.gcd(angles, turns * pins)
+    if phases >= min(angles, _PHASES):
+        return []
+    other = next(n for n in itertools.count(angles) if math.gcd(n, turns * pins) == 1)
+    return [
+        f"{angles} crank angles meet only {phases} phase{'s' * (phases > 1)} of the mesh of {pins} pins: what lies "
+        f"between is missed; take {other}."
     ]

@@ -60,7 +60,7 @@ def analyze(
         asked = limits.read_requirements(limits_file)
     import numpy as np
 
-    from cycloid_fmu.analysis import labelled, notes, solve
+    from cycloid_fmu.analysis import labelled, notes, solve, step_notes
     from cycloid_fmu.contact.transmission import Interrupted
     from cycloid_fmu.drive import read_drive
     from cycloid_fmu.geometry.temperature import parse_temperatures
@@ -143,7 +143,7 @@ def analyze(
                 typer.echo("Efficiency needs [losses]: no friction stated.")
             if "temperature" in judged.not_judged:
                 typer.echo("Temperature needs [supports], [losses] and [thermal].")
-    for note in notes(drive.stage, found):
+    for note in [*notes(drive.stage, found), *step_notes(drive.pair.pins, angles, turns)]:
         typer.echo(f"Note: {note}", err=True)
     if finished < angles:
         raise typer.Exit(edge.INTERRUPTED)

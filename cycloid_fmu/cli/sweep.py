@@ -90,18 +90,19 @@ def sweep(
         commands.print_json({str(k): v.values for k, v in {**data.coords, **data.data_vars}.items()})
     else:
         _print(data, f"{pair_file.name}: {size} drives")
-    _print_notes(drive, data)
+    _print_notes(drive, data, angles, turns)
 
 
-def _print_notes(drive: Drive, data: xr.Dataset) -> None:
-    """Print a note if a drive of the sweep is tilted beyond first order."""
-    from cycloid_fmu.analysis import tilt_notes
+def _print_notes(drive: Drive, data: xr.Dataset, angles: int, turns: int) -> None:
+    """Print a note for drives that are tilted beyond first order, and for angles in step with the pins."""
+    from cycloid_fmu.analysis import step_notes, tilt_notes
 
     tilt = {"xz": abs(drive.displacements["tilt_x"]), "yz": abs(drive.displacements["tilt_y"])}
     for plane in tilt:
         if (name := f"errors.misalignment_{plane}") in data.coords:
             tilt[plane] = float(abs(data[name]).max())
-    for note in tilt_notes(drive, math.hypot(*tilt.values()), "Drives of this sweep are tilted by up to"):
+    tilted = tilt_notes(drive, math.hypot(*tilt.values()), "Drives of this sweep are tilted by up to")
+    for note in [*tilted, *step_notes(drive.pair.pins, angles, turns)]:
         typer.echo(f"Note: {note}", err=True)
 
 

@@ -116,8 +116,9 @@ def _ranges(axes: Axes, found: Sequence[Design], task: DesignTask) -> None:
     for number, one in enumerate(found, 1):
         share = [100.0 * (one.values[n] - task.vary[n][0]) / (task.vary[n][1] - task.vary[n][0]) for n in names]
         shade = f"C{(number - 1) % 10}"
-        axes.plot(share, at, "o-", color=shade, lw=1.0, ms=4, label=f"{number}" if len(found) > 1 else "")
-        if len(found) == 1:
+        alone = len(found) == 1  # its values are written at its points, where a line would cross them
+        axes.plot(share, at, "o" if alone else "o-", color=shade, lw=1.0, ms=4, label="" if alone else f"{number}")
+        if alone:
             for k, name in enumerate(names):
                 axes.annotate(
                     " ".join(shown(name, one.values[name])),

@@ -614,10 +614,11 @@ class Search:
             return ()
         sign = -1.0 if goal in LOWER else 1.0
         slope, *slopes = self.gradients(place, lambda f: np.array([sign * f[goal], *self.margins(f, levels)]))
-        limits, margins = {**self.limits, **levels}, self.margins(figures, levels)
+        # A goal with a level may have a limit too.
+        limits, margins = [*self.limits.items(), *levels.items()], self.margins(figures, levels)
         rows = [
             (name, limit, row)
-            for (name, limit), margin, row in zip(limits.items(), margins, slopes, strict=True)
+            for (name, limit), margin, row in zip(limits, margins, slopes, strict=True)
             if margin < _BINDS
         ]
         for name, at, row in zip(self.names, place, np.eye(place.size), strict=True):

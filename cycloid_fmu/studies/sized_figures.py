@@ -183,8 +183,7 @@ def _of_friction(pair: Pair) -> list[Figure]:
     of = "range of the friction in the table"
 
     def ends(get: Callable[[Any], float]) -> tuple[float, float, float]:
-        low, high = (get(end) for end in found.ends) if found.ends else (math.nan, math.nan)
-        return get(found), low, high
+        return _values([get(one) for one in (found, *found.ends)])
 
     def efficiency(each: Any) -> float:
         (case,) = (case for case in each.cases if case.mode == "driving")

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from cycloid_fmu import edge
-from cycloid_fmu.analysis import series_compliance, solve, tilt_notes
+from cycloid_fmu.analysis import series_compliance, solve, step_notes, tilt_notes
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.reducer.drive_file import parts_of_file
 from cycloid_fmu.studies import limits as judging
@@ -107,7 +107,10 @@ def notes_of(study: Study) -> list[str]:
     """Return where drives within the tolerances lie outside what the model is made for, one sentence each."""
     stated = (getattr(study.tolerances, f"misalignment_{plane}", None) for plane in ("xz", "yz"))
     tilt = math.hypot(*(one.tolerance for one in stated if one is not None))
-    return tilt_notes(study.drive, tilt, "The tolerances permit a gear's axis that is tilted by")
+    return [
+        *tilt_notes(study.drive, tilt, "The tolerances permit a gear's axis that is tilted by"),
+        *step_notes(study.pair.pins, study.angles, study.turns),
+    ]
 
 
 def with_requirements(study: Study, asked: judging.Requirements) -> Study:

@@ -67,7 +67,11 @@ def simulate(
             return
         bench.write_wiring(write_bench)
         count = bench.motion.run.samples
-        typer.echo(f"{write_bench}: wiring of the bench, which sends {count} samples once a recorder starts", err=True)
+        typer.echo(
+            f"{write_bench}: wiring; {count} samples are sent once a recorder starts; in a second terminal: "
+            f"cycloid-bench record {write_bench} -o run.arrows",
+            err=True,
+        )
         while not bench.wait(0.2):
             pass
         typer.echo("The motion ended.", err=True)

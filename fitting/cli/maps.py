@@ -49,7 +49,8 @@ def maps(
         numbers = {str(name): values.values for name, values in {**dataset.coords, **dataset.data_vars}.items()}
         commands.print_json({**numbers, "notes": notes})
         return
-    sizes = {name: dataset.sizes[name] for name in ("torque", "speed", "temperature")}
-    axes = ", ".join(f"{size} {name}{'s' * (size != 1)}" for name, size in sizes.items())
-    typer.echo(f"{dataset.attrs['curves']} curves over {axes}.")
+    counts = {"curve": dataset.attrs["curves"], **dataset.sizes}
+    names = ("curve", "torque", "speed", "temperature")
+    curves, *axes = (f"{counts[name]} {name}{'s' * (counts[name] != 1)}" for name in names)
+    typer.echo(f"{curves} over {', '.join(axes)}.")
     options.print_notes(notes)

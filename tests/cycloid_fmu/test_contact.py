@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cycloid_fmu import contact, edge
-from cycloid_fmu.analysis import error_sensitivity, notes, sensitivity, solve
+from cycloid_fmu.analysis import error_sensitivity, notes, sensitivity, solve, step_notes
 from cycloid_fmu.analysis.validity import tilt_error
 from cycloid_fmu.contact import compiling, internals
 from cycloid_fmu.contact.deviations import Facing, added_curvature
@@ -781,6 +781,18 @@ def test_slices_of_a_tilted_gear_err_by_less_than_the_note_says(sizes, torque, d
     assert 0.3 * tilt_error(pair, 1e-3) < errors[1e-3] < tilt_error(pair, 1e-3)
 
 
+@pytest.mark.parametrize(("angles", "turns"), [(40, 1), (360, 1), (367, 1), (20, 39), (1, 1), (23, 1)])
+def test_angles_in_step_with_the_pins_are_noted(angles, turns):
+    """The phases of the mesh, counted; all teeth alike, the transmission error has as many values at most."""
+    pair = make_pair(PAIR, pins=40, gear_teeth=39, rated_torque="100 N*m")
+    crank = np.linspace(0.0, 2.0 * np.pi * turns, angles, endpoint=False)
+    phases = np.unique(np.round(crank * pair.pins / (2.0 * np.pi) % 1.0, 9) % 1.0).size
+    (error,) = solve(DriveValue(pair, surface_of_pair(pair)), [100.0], crank).transmission_error
+    assert np.unique(np.round(error, 12)).size <= phases
+    noted = step_notes(pair.pins, angles, turns)
+    assert [f"meet only {phases} phase" in note for note in noted] == [True] * (phases < min(angles, 24))
+
+
 @pytest.mark.slow(2)
 @pytest.mark.parametrize(("tilt", "noted"), [("0.3 mrad", False), ("2 mrad", True)])
 def test_every_command_notes_a_tilt_beyond_the_first_order(tilt, noted, command, tmp_path):
@@ -803,6 +815,7 @@ def test_every_command_notes_a_tilt_beyond_the_first_order(tilt, noted, command,
         assert (f"tilted by {'up to ' * ('--vary' in words)}{tilt}, modelled to first order" in run.stderr) == noted, (
             words
         )
+        assert ("meet only 1 phase of the mesh" in run.stderr) == ("--angles" in words)
 
 
 def test_default_crank_angles_are_out_of_step_with_any_pins():

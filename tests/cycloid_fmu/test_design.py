@@ -126,7 +126,8 @@ def test_relaxing_what_binds_brings_what_is_stated(pair):
 @pytest.mark.slow(3)
 def test_of_two_goals_no_drive_of_the_front_is_worse_by_both(pair):
     vary = {"pin_circle_radius": ("60 mm", "75 mm"), "pin_radius": ("2.5 mm", "4 mm")}
-    found = search(pair, task(goals=["pin_circle_radius", "max_contact_pressure"], vary=vary), starts=0, points=5)
+    goals, limits = ["pin_circle_radius", "max_contact_pressure"], {"max_contact_pressure": "4000 MPa"}  # of a goal too
+    found = search(pair, task(goals=goals, vary=vary, limits=limits), starts=0, points=5)
     size, pressure = (np.array([one.goals[name] for one in found]) for name in found[0].goals)
     assert size[0] == pytest.approx(60e-3, rel=2e-3)
     assert size[-1] == pytest.approx(75e-3, rel=2e-3)

@@ -126,6 +126,12 @@ def test_forces_and_errors_are_those_of_the_sweep():
     )
 
 
+def test_the_peak_to_peak_over_the_curve_is_that_of_a_finer_sweep():
+    drive = cy.read_drive(EXAMPLES / "drive-39-40.toml")
+    fine = drive.analyze("181 N*m", angles=9973).transmission_error.values
+    assert np.ptp(drive.motion("181 N*m", 0.0).curve) == pytest.approx(np.ptp(fine), rel=0.01)
+
+
 def test_without_load_nothing_presses():
     motion = cy.Drive(PAIRS["errors"]).motion(0.0, np.linspace(0.0, 6.0, 5))
     assert not motion.force.any()

@@ -138,11 +138,10 @@ def test_every_figure_with_a_range_has_it_around_the_drawn_value(sized):
     tolerances = parse_tolerances(sized.tolerances, "sized")
     figures, stresses = figures_of(sized.pair, tolerances, sized.bodies)
     rows = {row.name: row.values for row in figures}
-    for name in ("contact pressure", "mass of discs and pins", "inertia of the discs at the input"):
+    for name in ("contact pressure", "mass of discs and pins", "inertia of the discs at the input", "efficiency"):
         drawn, low, high = rows[name]
-        assert low <= drawn <= high
-    drawn, with_little_friction, with_much = rows["efficiency"]
-    assert 0.0 < with_much < drawn < with_little_friction <= 1.0
+        assert 0.0 < low <= drawn <= high
+    assert rows["efficiency"][1] < rows["efficiency"][2] <= 1.0
     assert rows["backlash"][1] < rows["backlash"][2]
     strong = {(one.part, one.kind): one for one in stresses}
     assert strong["output pin", "fatigue"].safety > 1.5  # sized for a beam on two supports; it is clamped
