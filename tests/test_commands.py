@@ -16,7 +16,9 @@ import typer
 from common import PAIR
 
 from cycloid_fmu import edge
+from cycloid_fmu.cli.shared import PlatformNames
 from cycloid_fmu.edge import commands
+from cycloid_fmu.fmu.library import PLATFORMS
 
 COMMANDS = ("cycloid-fmu", "cycloid-fit", "cycloid-bench")
 
@@ -177,6 +179,10 @@ def test_help_shows_few_options_first_and_the_others_under_more():
         assert len(main) == (6 if len(options) > 8 else len(options)), name
         assert all(p in main for p in options if p.required), name
         assert len(options) <= 18, name
+
+
+def test_the_help_names_every_platform():
+    assert all(name in PlatformNames.__metadata__[0].help for name in PLATFORMS)
 
 
 def test_more_options_are_in_the_help(command):

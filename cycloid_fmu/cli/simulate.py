@@ -16,13 +16,13 @@ def simulate(
     fmu_file: FmuFile,
     torque: Annotated[
         float | None,
-        commands.quantity_option("N*m", 'Torque on the output, such as "100 N*m".', show_default="the rated torque"),
+        commands.quantity_option("N*m", "Torque on the output.", show_default="the rated torque"),
     ] = None,
     turns: Annotated[float, typer.Option(help="Crank turns; a negative number turns backwards.")] = 1.0,
     speed: Annotated[
-        float, commands.quantity_option("rad/s", "Crank speed.", show_default="600 rpm")
+        float, commands.quantity_option("rad/s", "Crank speed.", "--crank-speed", show_default="600 rpm")
     ] = edge.parse_quantity("600 rpm", "rad/s"),
-    samples: Annotated[int, typer.Option(min=2, help="Samples for each crank turn.")] = 360,
+    samples: Annotated[int, typer.Option(min=2, help="Samples per crank turn.")] = 360,
     motion: MotionFile = None,
     output: Annotated[Path | None, commands.output_option((".csv",), "RUN.csv", "Write the results (CSV).")] = None,
     plot: commands.PlotFile = None,

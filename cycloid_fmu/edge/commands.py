@@ -1,4 +1,4 @@
-"""Shared parts of the command lines: entry point, options, tables, progress and exit codes.
+"""Shared parts of the command lines: entry point, options, tables, progress and exit statuses.
 
 A command line is a package with one module per command; each module has one function with the command's name, or a
 `typer.Typer` of subcommands. Only the module of the executed command is imported.
@@ -226,7 +226,7 @@ def _version_of(name: str) -> Callable[..., None]:
 
 
 def main(app: typer.Typer) -> NoReturn:
-    """Run a command line and end the process with its exit code."""
+    """Run a command line and end the process with its exit status."""
     # Idle OpenBLAS threads spin once NumPy is loaded: an analysis took 1.3 times as much processor time.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     status = list[int]()
@@ -256,7 +256,7 @@ class _Unraisable:
 
 
 def run(app: typer.Typer) -> NoReturn:
-    """Run a command line; the exit code is 2 after invalid input, 130 after an interrupt and 1 after a failure."""
+    """Run a command line; the exit status is 2 after invalid input, 130 after an interrupt and 1 after a failure."""
     debug, unraisable = bool(os.environ.get("CYCLOID_TRACEBACK")), _Unraisable()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     # Objects made on import are permanent: scanning them for garbage took a tenth of a short command.

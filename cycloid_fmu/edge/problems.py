@@ -1,4 +1,4 @@
-"""Errors and warnings about invalid input, and the exit codes."""
+"""Errors and warnings about invalid input, and the exit statuses."""
 
 from __future__ import annotations
 
