@@ -128,6 +128,12 @@ def test_the_version_is_shown(command, name):
             '--ratio takes one value; it is given 2 times: "-39", "-40".',
         ),
         (
+            ["cycloid-fmu", "analyze", "p.toml", "--slices", "0"],
+            '--slices = "0": it must be greater than or equal to 1.',
+        ),
+        (["cycloid-fmu", "budget", "r.toml", "--samples=3.5"], '--samples = "3.5": it must be a whole number.'),
+        (["cycloid-fit", "curve", "a.csv", "--ratio", "abc"], '--ratio = "abc": it must be a number.'),
+        (
             ["cycloid-fmu", "analyze", "p.toml", "--tourque", "3 Nm"],
             "--tourque is not an option of cycloid-fmu analyze; did you mean --torque?",
         ),

@@ -310,6 +310,8 @@ def _usage(problem: Any) -> str:
     if isinstance(problem, _Refused) and problem.param is not None:
         reason = problem.message if problem.message.endswith("?") else f"{problem.message}."
         return f"{problem.param.opts[0]} = {shown(problem.given)}: {reason}"
+    if reason := _number_wanted(problem):
+        return reason
     unknown = getattr(problem, "option_name", None)
     if unknown is not None and getattr(problem, "possibilities", unknown) is not unknown:
         instead = _instead(unknown, problem.ctx.command) or f"see {where} --help."
@@ -317,6 +319,17 @@ def _usage(problem: Any) -> str:
     if "\n" in said or not said:  # a help page, or a message that is already printed
         return said
     return f"{said.rstrip('.')}; see {where} --help."
+
+
+def _number_wanted(problem: Any) -> str:
+    """Return a sentence on an option that takes a number, with the value as typed; "" for other problems."""
+    wanted = str(getattr(problem, "message", "")).partition("Input should be ")[2].partition(", unable")[0]
+    if problem.ctx is None or not wanted or getattr(problem, "param", None) is None:
+        return ""
+    values = _values(problem.ctx.meta.get("cycloid.words", ()), problem.param.opts)
+    typed = f" = {shown(values[0])}" if len(values) == 1 else ""
+    wanted = wanted.replace("a valid integer", "a whole number").replace("a valid number", "a number")
+    return f"{problem.param.opts[0]}{typed}: it must be {wanted.rstrip('.')}."
 
 
 def _instead(unknown: str, command: Any) -> str:

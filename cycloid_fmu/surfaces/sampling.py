@@ -506,11 +506,11 @@ def sample_surface(pair: Pair, tolerances: Tolerances, seed: int, elements: Elem
 
     Raises
     ------
-    edge.InputError
+    edge.ArgumentError
         If the seed is out of range.
     """
     if not 0 <= seed <= LARGEST_SEED:
-        raise edge.InputError(f"seed = {seed}: it must be between 0 and {LARGEST_SEED}.")
+        raise edge.ArgumentError("seed", f"it must be between 0 and {LARGEST_SEED}", seed)
     streams = {name: error_stream(seed, name) for name in tolerances.factors}
     drawn = _drawn(pair, tolerances, streams, {}, elements or Elements())
     return drawn.replace(attributes={"seed": seed, "tolerances": tolerances.text})
