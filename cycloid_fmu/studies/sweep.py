@@ -136,8 +136,8 @@ def check_sweep(sweep: Sweep) -> None:
     Raises
     ------
     edge.InputError
-        If nothing is varied, something is varied twice, there are too many drives, a load is zero or missing, the crank's
-        speed is below zero, or no combination is valid.
+        If nothing is varied, something is varied twice, there are too many drives, a load is zero or missing, the speed
+        is below zero, or no combination is valid.
     """
     names = [one.name for one in sweep.vary]
     if not names:
