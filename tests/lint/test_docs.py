@@ -158,6 +158,15 @@ def test_commands_are_complete_as_written(page):
             assert incomplete(line) == "" or (page.stem != "README" and "No such option" not in incomplete(line)), line
 
 
+OUR_FILES = re.compile(r"[`\"]((?:cycloid_fmu|fitting|drivers|tests|studies|benchmarks|examples|docs)/[\w./-]+\.\w+)[`\":]")
+
+
+@pytest.mark.parametrize("page", [*PAGES, ROOT / "studies" / "mutate.py"], ids=lambda p: p.stem)
+def test_files_of_the_repository_that_a_page_names_exist(page):
+    named = OUR_FILES.findall(page.read_text(encoding="utf-8"))
+    assert [name for name in named if not (ROOT / name).exists()] == []
+
+
 def test_a_command_that_lacks_an_option_is_found():
     assert incomplete("cycloid-fmu tolerance p.toml") == "--tolerances is missing"
     assert "--nonsense" in incomplete("cycloid-fmu analyze p.toml --nonsense 3")
