@@ -84,14 +84,30 @@ ZoneTolerance = Annotated[Length, _up_to(2.0 * LARGEST_ELEMENT, "1 mm")]
 
 
 class LengthError(Config):
-    """An error within ± `tolerance` (m); a normal distribution is truncated there, at three standard deviations."""
+    """An error within ± its tolerance.
+
+    Attributes
+    ----------
+    tolerance
+        Largest magnitude of the error, m.
+    distribution
+        Distribution of the error; a normal one is truncated at the tolerance, at three standard deviations.
+    """
 
     tolerance: LengthTolerance
     distribution: Distribution = "normal"
 
 
 class AngleError(Config):
-    """An angle within ± `tolerance` (rad); a normal distribution is truncated there, at three standard deviations."""
+    """An angle within ± its tolerance.
+
+    Attributes
+    ----------
+    tolerance
+        Largest magnitude of the angle, rad.
+    distribution
+        Distribution of the angle; a normal one is truncated at the tolerance, at three standard deviations.
+    """
 
     tolerance: AngleTolerance
     distribution: Distribution = "normal"
@@ -127,10 +143,16 @@ class PitchErrors(Config):
 
 
 class Correlation(Config):
-    """Correlation lengths of a form deviation, as fractions of the profile and of the face width.
+    """Correlation lengths of a form deviation: deviations at this distance have a correlation of exp(-1/2).
 
-    Deviations at this distance have a correlation of exp(-1/2). The defaults give about two waves along a tooth's
-    profile and one across its width.
+    The defaults give about two waves along a tooth's profile and one across its width.
+
+    Attributes
+    ----------
+    profile
+        Correlation length along the profile, as a fraction of it.
+    width
+        Correlation length across the face width, as a fraction of it.
     """
 
     profile: float = pydantic.Field(default=0.15, ge=0.005, le=100.0)
@@ -206,7 +228,12 @@ class Tolerances(Config):
     The arguments are the keys of the tolerances (`pin_circle_diameter` is the circle's diameter, `pin_radius` is common
     to all pins, `pin_radius_each` is that of each pin; `gear_pitch` and `pin_pitch` are positions around the circle),
     each a `LengthError`, `AngleError` or `PitchErrors`, or a table of its values. `limits` are those of an acceptable
-    drive, `costs` the relative cost of each tolerance at its stated width (default 1).
+    drive.
+
+    Attributes
+    ----------
+    costs
+        Relative cost of each tolerance at its stated width, by the tolerance's name; 1 where not stated.
 
     Raises
     ------

@@ -158,7 +158,9 @@ def test_commands_are_complete_as_written(page):
             assert incomplete(line) == "" or (page.stem != "README" and "No such option" not in incomplete(line)), line
 
 
-OUR_FILES = re.compile(r"[`\"]((?:cycloid_fmu|fitting|drivers|tests|studies|benchmarks|examples|docs)/[\w./-]+\.\w+)[`\":]")
+OUR_FILES = re.compile(
+    r"[`\"]((?:cycloid_fmu|fitting|drivers|tests|studies|benchmarks|examples|docs)/[\w./-]+\.\w+)[`\":]"
+)
 
 
 @pytest.mark.parametrize("page", [*PAGES, ROOT / "studies" / "mutate.py"], ids=lambda p: p.stem)
@@ -454,7 +456,10 @@ def test_every_key_of_a_pair_file_has_its_own_meaning(tmp_path, monkeypatch):
     assert file_reference.PAGE.read_text(encoding="utf-8") == (tmp_path / "files.md").read_text(encoding="utf-8"), (
         "write it: python docs/file_reference.py"
     )
-    section = (tmp_path / "files.md").read_text(encoding="utf-8").split("\n## ")[1]
+    page = (tmp_path / "files.md").read_text(encoding="utf-8")
+    assert [line for line in page.splitlines() if line.startswith("| `") and line.endswith("|  |")] == []
+    assert not re.search(r"\bNone\b|or text\b.*\|$", page), "words of Python"
+    section = page.split("\n## ")[1]
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in section.splitlines() if line[:3] == "| `"]
     meanings = {cells[0]: cells[-1] for cells in rows if len(cells) == 4}
     assert {f"`{name}`" for name in (*Pair.model_fields, "isometric", "offset")} - set(meanings) == {
