@@ -169,6 +169,12 @@ def test_files_of_the_repository_that_a_page_names_exist(page):
     assert [name for name in named if not (ROOT / name).exists()] == []
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.stem)
+def test_objects_that_a_page_names_exist(page):
+    for name in set(re.findall(r"{py:obj}`~?([\w.]+)`", page.read_text(encoding="utf-8"))):
+        resolved(name)
+
+
 def test_a_command_that_lacks_an_option_is_found():
     assert incomplete("cycloid-fmu tolerance p.toml") == "--tolerances is missing"
     assert "--nonsense" in incomplete("cycloid-fmu analyze p.toml --nonsense 3")
