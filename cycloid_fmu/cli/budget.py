@@ -29,7 +29,7 @@ def budget(
     plot: commands.PlotFile = None,
     as_json: commands.AsJson = False,
 ) -> None:
-    """Lost motion budget of an RV reducer: each term by closed form and by the contact model, and the scatter.
+    """Compute the lost motion budget of an RV reducer: terms by closed form and by the contact model, and the scatter.
 
     Example: [cyan]cycloid-fmu budget rv.toml --plot budget.png[/]
     """

@@ -50,7 +50,7 @@ def losses(
     angles: Annotated[int, typer.Option(min=1, help="Number of crank angles from 0, end excluded.")] = ANGLES,
     turns: Annotated[int, typer.Option(min=1, help="Number of crank turns that the angles span.")] = 1,
 ) -> None:
-    """Efficiency, losses by part, and the torques to start, to run and to be driven backwards, with stated friction.
+    """Compute efficiency, losses by part, and torques to start, run and drive backwards, with stated friction.
 
     With a thermal table also how warm the drive gets, and how fast; exit status 4 above its largest temperature.
 

@@ -64,7 +64,7 @@ def new(
     ] = None,
     as_json: commands.AsJson = False,
 ) -> None:
-    """A first drive from ratio, diameter, torque, material and process, with its figures and their ranges.
+    """Size a first drive from ratio, diameter, torque, material and process, with its figures and their ranges.
 
     Example: [cyan]cycloid-fmu new --ratio 15 --outer-diameter "70 mm" --torque "15 N*m" --material POM --process CNC[/]
     """

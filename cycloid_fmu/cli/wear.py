@@ -44,7 +44,7 @@ def wear(
     limits_file: LimitsFile = None,
     as_json: commands.AsJson = False,
 ) -> None:
-    """Wear of flanks and pins over a life, with the profile updated as it wears.
+    """Compute the wear of flanks and pins over a life, with the profile updated as it wears.
 
     Example: [cyan]cycloid-fmu wear pair.toml --wear wear.toml --torque "-400 N*m" --crank-turns 3e6 -o worn.nc[/]
     """
