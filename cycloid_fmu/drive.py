@@ -898,15 +898,12 @@ class Drive(DriveValue):
 
         Raises
         ------
-        edge.InputError
+        edge.ArgumentError
             If the drive has no life (`WearRun.surface`), or its life ends earlier.
         """
         from cycloid_fmu.surfaces.surface import surface_after
 
-        try:
-            worn = surface_after(self.surface, crank_turns)
-        except ValueError as problem:
-            raise edge.InputError(f"{problem}.") from None
+        worn = surface_after(self.surface, crank_turns)
         return type(self)(self.pair.nominal, worn.replace(life=None), self.first_stage)
 
     def design(

@@ -2,6 +2,7 @@
 
 import inspect
 import json
+import re
 from pathlib import Path
 from typing import ClassVar
 
@@ -69,6 +70,16 @@ QUANTITIES = {
     "J/K": "heat capacity",
     "m^2": "area",
 }
+# Words of Python and of the code in the docstrings, and what the page has in their place.
+WORDS = (
+    (r"\bNone(?= (?:for|if|to)\b|:)", "left out"),
+    (r"(?<=\. )left out", "Left out"),
+    (r"\(docs/(?:theory/)?(\w+)\.md\)", r"([](../theory/\1.md))"),
+    (r"an entry of `MATERIALS`", "a [material](../new_drive.md#materials)"),
+    (r"an entry of `VALUES`", "a [pair of materials](../losses.md#values-to-begin-with)"),
+    (r"\b(rad|rad/s|N·m|s) or text such as", r"\1, such as"),
+    (r"\b(rad|N·m|s) or text\b", r"\1"),
+)
 ELSEWHERE = ("stage",)  # a reducer's [pair], [modification], [material] and [supports] are those of a pair file
 INTRODUCTION = """# Files
 
@@ -162,6 +173,9 @@ def _default(schema: dict) -> str:
     if inner is not None:
         unit = inner["quantity"].split(" ", 1)[1]
         unit = "um" if inner["si"] == "m" and abs(default) < 1e-4 else "deg" if inner["si"] == "rad" else unit
+        unit = "rad/s" if inner["si"] == "rad/s" else unit
+        if inner["si"] == "s":
+            unit = next(u for u, least in (("h", 3600.0), ("s", 1.0), ("ms", 0.0)) if default >= least)
         return "0" if default == 0.0 else f'`"{edge.format_quantity(default, inner["si"], unit)}"`'
     return f"`{json.dumps(default)}`"
 
@@ -185,6 +199,13 @@ def _tables(schema: dict, definitions: dict) -> dict[str, tuple[list[str], dict]
     return found
 
 
+def _worded(text: str) -> str:
+    """A docstring in the words of a file."""
+    for pattern, words in WORDS:
+        text = re.sub(pattern, words, text)
+    return text
+
+
 def _rows(schema: dict, definitions: dict) -> list[str]:
     """The keys of one table that are no tables themselves."""
     meanings = schema.get("inherited", {}) | _meanings(schema.get("description", ""))
@@ -195,9 +216,8 @@ def _rows(schema: dict, definitions: dict) -> list[str]:
         if key == "text" or (table is not None and "properties" in definitions[table]):
             continue
         default = "needed" if key in needed else _default(one)
-        rows.append(
-            f"| `{key}` | {_kind(one, definitions)} | {default} | {one.get('meaning') or meanings.get(key, '')} |"
-        )
+        meaning = _worded(one.get("meaning") or meanings.get(key, ""))
+        rows.append(f"| `{key}` | {_kind(one, definitions)} | {default} | {meaning} |")
     return ["| key | value | if left out | meaning |", "| --- | --- | --- | --- |", *rows, ""] if rows else []
 
 
@@ -205,7 +225,7 @@ def _told(schema: dict) -> list[str]:
     """All tables of a file."""
     definitions, lines = schema.get("$defs", {}), []
     for names, one in _tables(schema, definitions).values():
-        rows, said = _rows(one, definitions), _first_paragraph(one.get("description", ""))
+        rows, said = _rows(one, definitions), _worded(_first_paragraph(one.get("description", "")))
         if names == [""]:
             lines += [said, "", *rows]
         elif rows:

@@ -58,9 +58,9 @@ from the installed packages.
 materials of an environment ([CycloneDX](https://cyclonedx.org), JSON), with the extra `test`:
 `python -m cyclonedx_py environment --pyproject pyproject.toml -o sbom.json`.
 
-The compiled libraries in the package (`cycloid_fmu/fmu/libraries`, `cycloid_fmu/fmu/front`) are made from its own
-sources and the FMI standard's headers (BSD-2-Clause), with parts of the runtime of zig, their compiler (MIT). A native
-FMU contains the licence texts.
+The compiled libraries in the package (`cycloid_fmu/fmu/libraries`, `cycloid_fmu/fmu/front`,
+`cycloid_fmu/joint/libraries`) are made from its own sources, those of FMUs also from the FMI standard's headers
+(BSD-2-Clause), with parts of the runtime of zig, their compiler (MIT). A native FMU contains the licence texts.
 
 | package | licence | needed by |
 | --- | --- | --- |

@@ -17,7 +17,13 @@ Line = TypeVar("Line", bound=LineConfig)
 
 
 class PlugInConfig(edge.Config):
-    """Keys of every table that a plug-in reads: the name of its protocol; each protocol adds its own."""
+    """Keys of every table that a plug-in reads; each protocol adds its own.
+
+    Attributes
+    ----------
+    protocol
+        Name of the protocol.
+    """
 
     protocol: str
 

@@ -16,7 +16,9 @@ import typer
 from common import PAIR
 
 from cycloid_fmu import edge
+from cycloid_fmu.cli.shared import PlatformNames
 from cycloid_fmu.edge import commands
+from cycloid_fmu.fmu.library import PLATFORMS
 
 COMMANDS = ("cycloid-fmu", "cycloid-fit", "cycloid-bench")
 
@@ -126,6 +128,12 @@ def test_the_version_is_shown(command, name):
             '--ratio takes one value; it is given 2 times: "-39", "-40".',
         ),
         (
+            ["cycloid-fmu", "analyze", "p.toml", "--slices", "0"],
+            '--slices = "0": it must be greater than or equal to 1.',
+        ),
+        (["cycloid-fmu", "budget", "r.toml", "--samples=3.5"], '--samples = "3.5": it must be a whole number.'),
+        (["cycloid-fit", "curve", "a.csv", "--ratio", "abc"], '--ratio = "abc": it must be a number.'),
+        (
             ["cycloid-fmu", "analyze", "p.toml", "--tourque", "3 Nm"],
             "--tourque is not an option of cycloid-fmu analyze; did you mean --torque?",
         ),
@@ -177,6 +185,10 @@ def test_help_shows_few_options_first_and_the_others_under_more():
         assert len(main) == (6 if len(options) > 8 else len(options)), name
         assert all(p in main for p in options if p.required), name
         assert len(options) <= 18, name
+
+
+def test_the_help_names_every_platform():
+    assert all(name in PlatformNames.__metadata__[0].help for name in PLATFORMS)
 
 
 def test_more_options_are_in_the_help(command):

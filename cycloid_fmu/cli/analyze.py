@@ -38,7 +38,9 @@ def analyze(
     slices: Annotated[
         int | None,
         typer.Option(
-            min=1, help="Slices across the face width; adds contact lines and element pressures.", show_default=False
+            min=1,
+            help="Number of slices across the face width; adds contact lines and element pressures.",
+            show_default=False,
         ),
     ] = None,
     temperature: Annotated[
@@ -49,7 +51,7 @@ def analyze(
         ),
     ] = None,
 ) -> None:
-    """Transmission error, backlash, stiffness, load sharing and pressure over a crank sweep.
+    """Compute transmission error, backlash, stiffness, load sharing and pressure over a crank sweep.
 
     Example: [cyan]cycloid-fmu analyze pair.toml --torque "-181 N*m" --torque "181 N*m" -o out.nc --plot out.png[/]
     """

@@ -20,14 +20,16 @@ _Terms = dict[str, dict[str, float]]
 
 
 def budget(
-    reducer_file: Annotated[Path, typer.Argument(metavar="REDUCER.toml", help="Format cycloid-reducer/1.")],
+    reducer_file: Annotated[
+        Path, typer.Argument(metavar="REDUCER.toml", help="The RV reducer (format cycloid-reducer/1).")
+    ],
     samples: Annotated[int, typer.Option(min=100, help="Number of reducers drawn within the tolerances.")] = 1000,
     seed: Annotated[int, typer.Option(min=0, help="The same seed draws the same reducers.")] = 1,
     limits_file: LimitsFile = None,
     plot: commands.PlotFile = None,
     as_json: commands.AsJson = False,
 ) -> None:
-    """Lost motion budget of an RV reducer: each term by closed form and by the contact model, and the scatter.
+    """Compute the lost motion budget of an RV reducer: terms by closed form and by the contact model, and the scatter.
 
     Example: [cyan]cycloid-fmu budget rv.toml --plot budget.png[/]
     """

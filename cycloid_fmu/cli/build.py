@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cycloid_fmu import edge
-from cycloid_fmu.cli.shared import SurfaceFile
+from cycloid_fmu.cli.shared import PlatformNames, SurfaceFile
 from cycloid_fmu.edge import commands
 from cycloid_fmu.geometry import ANGLES
 
@@ -85,7 +85,7 @@ def build(
     largest_torque: Annotated[
         float | None,
         commands.quantity_option(
-            "N*m", "With --native: largest torque of the tables; 2.5 times rated_torque by default.", show_default=False
+            "N*m", "With --native: largest torque of the tables.", show_default="2.5 times rated_torque"
         ),
     ] = None,
     draws: Annotated[
@@ -93,7 +93,7 @@ def build(
         typer.Option(
             min=0,
             max=10000,
-            help="Drives drawn from the fit of an identified drive: DRIVE-0000.fmu, … beside that of the drive itself.",
+            help="Number of drives drawn from the fit of an identified drive: DRIVE-0000.fmu, … besides DRIVE.fmu.",
             show_default=False,
         ),
     ] = 0,
@@ -103,9 +103,12 @@ def build(
             "s",
             "Age of a drive with a forecast; repeatable: DRIVE-0000.fmu, … instead of DRIVE.fmu.",
             show_default=False,
+            metavar='"5000 h"',
         ),
     ] = None,
-    wear_factor: Annotated[float, typer.Option(help="With --age: wear coefficient over the forecast's median.")] = 1.0,
+    wear_factor: Annotated[
+        float, typer.Option(help="With --age: ratio of the wear coefficient to the forecast's median.")
+    ] = 1.0,
     crank_turns: Annotated[
         list[float] | None,
         typer.Option(
@@ -113,12 +116,7 @@ def build(
             show_default=False,
         ),
     ] = None,
-    platforms: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--platform", help="With --native: x86_64-linux, aarch64-darwin, ...; all by default. Repeatable."
-        ),
-    ] = None,
+    platforms: PlatformNames = None,
 ) -> None:
     """Build an FMU of the drive, or of a whole RV reducer with the sun as input.
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cycloid_fmu import edge
-from cycloid_fmu.cli.shared import SurfaceFile
+from cycloid_fmu.cli.shared import PlatformNames, SurfaceFile
 from cycloid_fmu.edge import ARCSEC, commands
 
 if TYPE_CHECKING:
@@ -57,30 +57,30 @@ def compensate(
     torque_accuracy: Annotated[
         float | None,
         commands.quantity_option(
-            "N*m", "Standard deviation of the controller's torque. Default: 1 % of rated_torque.", show_default=False
+            "N*m", "Standard deviation of the controller's torque.", show_default="1 % of rated_torque"
         ),
     ] = None,
     residual: Annotated[
         float,
         commands.quantity_option(
-            "rad", "Largest error of the tables; the smallest tables within it are used.", show_default="0.5 arcsec"
+            "rad",
+            "Largest error of the tables; the smallest tables within it are used.",
+            show_default="0.5 arcsec",
+            metavar='"0.5 arcsec"',
         ),
     ] = 0.5 / ARCSEC,
     sensor: Annotated[
         float,
-        commands.quantity_option("rad", "Standard deviation of an output encoder.", show_default="1 arcsec"),
+        commands.quantity_option(
+            "rad", "Standard deviation of an output encoder.", show_default="1 arcsec", metavar='"1 arcsec"'
+        ),
     ] = 1.0 / ARCSEC,
     tolerances_file: Annotated[
         Path | None,
         typer.Option("--tolerances", metavar="T.toml", help="Widen the band to any drive within these tolerances."),
     ] = None,
     fmi_version: Annotated[str, commands.choice_option(("2.0", "3.0"), "FMI version of an FMU.", "--fmi")] = "2.0",
-    platforms: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--platform", help="Platform of an FMU: x86_64-linux, aarch64-darwin, ...; repeatable. Default: all."
-        ),
-    ] = None,
+    platforms: PlatformNames = None,
 ) -> None:
     """Write a compensator: the motor angle for each desired output angle of a known drive.
 

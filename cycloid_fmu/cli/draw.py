@@ -30,7 +30,7 @@ def draw(
         ),
     ] = None,
     crank_angle: Annotated[
-        float, commands.quantity_option("rad", 'Crank angle of the picture, such as "30 deg".', show_default="0 deg")
+        float, commands.quantity_option("rad", "Crank angle of the picture.", show_default="0 deg", metavar='"30 deg"')
     ] = 0.0,
     surface_file: SurfaceFile = None,
     exaggeration: Annotated[

@@ -19,7 +19,7 @@ def joint(
     output: Annotated[Path, commands.output_option((".json",), "JOINT.json", "The joint document (cycloid-joint/1).")],
     pair_file: Annotated[
         Path | None,
-        typer.Argument(metavar="[PAIR.toml]", help="The gear pair, or an RV reducer; not for measured figures alone."),
+        typer.Argument(metavar="[PAIR.toml]", help="The gear pair, or an RV reducer; none where --figures state all."),
     ] = None,
     surface_file: SurfaceFile = None,
     figures: Annotated[
@@ -32,34 +32,46 @@ def joint(
     ] = None,
     rotor_inertia: Annotated[
         float | None,
-        commands.quantity_option("kg*m^2", "Inertia of the rotor, at the motor.", show_default=False),
+        commands.quantity_option("kg*m^2", "Inertia of the rotor, at the motor.", metavar='"1e-4 kg*m^2"'),
     ] = None,
     tolerances_file: Annotated[
         Path | None,
         typer.Option(
-            "--tolerances", metavar="T.toml", help="Draw drives within these (cycloid-tolerances/1), not from a fit."
+            "--tolerances",
+            metavar="T.toml",
+            help="Draw drives within these tolerances (cycloid-tolerances/1), not from a fit.",
         ),
     ] = None,
     draws: Annotated[
         int | None,
-        typer.Option(min=1, metavar="N", help="Draws in draws.csv.", show_default="100 with a fit or tolerances"),
+        typer.Option(
+            min=1, metavar="N", help="Number of draws in draws.csv.", show_default="100 with a fit or tolerances"
+        ),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the draws.")] = 0,
-    orders: Annotated[int, typer.Option(min=1, max=32, help="Orders of transmission error and of play.")] = 5,
+    seed: Annotated[int, typer.Option(min=0, help="The same seed draws the same drives.")] = 0,
+    orders: Annotated[int, typer.Option(min=1, max=32, help="Number of orders of transmission error and of play.")] = 5,
     arm_inertia: Annotated[
-        float, commands.quantity_option("kg*m^2", "Inertia of the arm in the files of simulators.")
+        float,
+        commands.quantity_option("kg*m^2", "Inertia of the arm in the files of simulators.", show_default="1 kg*m^2"),
     ] = 1.0,
-    mjcf: Annotated[Path | None, commands.output_option((".xml",), "ARM.xml", "MuJoCo models.", "--mjcf")] = None,
-    urdf: Annotated[
-        Path | None, commands.output_option((".urdf",), "ARM.urdf", "URDF with ros2_control.", "--urdf")
+    mjcf: Annotated[
+        Path | None,
+        commands.output_option((".xml",), "ARM.xml", "Write MuJoCo models, without and with play.", "--mjcf"),
     ] = None,
-    isaac: Annotated[Path | None, commands.output_option((".py",), "ARM.py", "Isaac Lab.", "--isaac")] = None,
-    drake: Annotated[Path | None, commands.output_option((".urdf",), "ARM.urdf", "URDF of Drake.", "--drake")] = None,
-    bam: Annotated[Path | None, commands.output_option((".json",), "m5.json", "BAM's model m5.", "--bam")] = None,
+    urdf: Annotated[
+        Path | None, commands.output_option((".urdf",), "ARM.urdf", "Write a URDF with ros2_control.", "--urdf")
+    ] = None,
+    isaac: Annotated[
+        Path | None, commands.output_option((".py",), "ARM.py", "Write an actuator for Isaac Lab.", "--isaac")
+    ] = None,
+    drake: Annotated[
+        Path | None, commands.output_option((".urdf",), "ARM.urdf", "Write a URDF for Drake.", "--drake")
+    ] = None,
+    bam: Annotated[Path | None, commands.output_option((".json",), "m5.json", "Write BAM's model m5.", "--bam")] = None,
     runtime: Annotated[
         Path | None,
         typer.Option(
-            metavar="FOLDER", help="The run-time beside MuJoCo or Drake, which needs nothing of this package."
+            metavar="FOLDER", help="Write the run-time for use with MuJoCo or Drake; it does not need this package."
         ),
     ] = None,
     as_json: commands.AsJson = False,

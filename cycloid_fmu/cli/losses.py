@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 def losses(
     pair_file: PairFile,
     crank_speed: Annotated[
-        float, commands.quantity_option("rad/s", "Speed of the crank; 0 for friction at rest. Both directions.")
+        float, commands.quantity_option("rad/s", 'Crank speed, in both directions; "0 rpm" for friction at rest.')
     ],
     torque: Annotated[
         list[float] | None,
@@ -50,9 +50,9 @@ def losses(
     angles: Annotated[int, typer.Option(min=1, help="Number of crank angles from 0, end excluded.")] = ANGLES,
     turns: Annotated[int, typer.Option(min=1, help="Number of crank turns that the angles span.")] = 1,
 ) -> None:
-    """Efficiency, losses by part, and the torques to start, to run and to be driven backwards, with stated friction.
+    """Compute efficiency, losses by part, and torques to start, run and drive backwards, with stated friction.
 
-    With a thermal table also how warm the drive gets, and how fast; exit code 4 above its largest temperature.
+    With a thermal table also how warm the drive gets, and how fast; exit status 4 above its largest temperature.
 
     Example: [cyan]cycloid-fmu losses pair.toml --crank-speed "600 rpm" --torque "181 N*m" --plot losses.png[/]
     """

@@ -15,44 +15,47 @@ from cycloid_fmu.geometry.processes import PROCESSES
 
 def new(
     ratio: Annotated[int, typer.Option(help="Whole number: motor speed over output speed, either sign.")],
-    outer_diameter: Annotated[float, commands.quantity_option("m", "Largest diameter of the ring.")],
+    outer_diameter: Annotated[float, commands.quantity_option("m", "Largest diameter of the ring.", metavar='"70 mm"')],
     torque: Annotated[float, commands.quantity_option("N*m", "Rated torque at the output.")],
-    material: Annotated[str, commands.choice_option(MATERIALS, "Of the discs.")],
-    process: Annotated[str, commands.choice_option(PROCESSES, "By which discs and ring are made.")],
-    pin_material: Annotated[str, commands.choice_option(MATERIALS, "Of the pins.")] = "bearing steel",
+    material: Annotated[str, commands.choice_option(MATERIALS, "Material of the discs.")],
+    process: Annotated[str, commands.choice_option(PROCESSES, "Process by which discs and ring are made.")],
+    pin_material: Annotated[str, commands.choice_option(MATERIALS, "Material of the pins.")] = "bearing steel",
     ring: Annotated[
         str,
-        commands.choice_option(("pins", "conjugate"), "Dowels, or arcs in one piece with the ring in their place."),
+        commands.choice_option(("pins", "conjugate"), "Pins that are dowels, or arcs in one piece with the ring."),
     ] = "pins",
     discs: Annotated[int, typer.Option(help="Number of discs, 1 to 4.")] = 2,
-    turning: Annotated[
+    output: Annotated[
         str,
         commands.choice_option(
-            ("gear", "ring"), "What turns with the output: the gear's carrier or the ring.", "--output"
+            ("gear", "ring"), "Part that is the output: the gear with its carrier, or the ring.", "--output-part"
         ),
     ] = "gear",
     length: Annotated[
         float | None,
         commands.quantity_option(
-            "m", "Most that the discs may take along the axis.", show_default="0.3 of the outer diameter"
+            "m",
+            "Largest length of all discs along the axis, with the gaps beside them.",
+            show_default="discs of 0.3 of the outer diameter",
+            metavar='"30 mm"',
         ),
     ] = None,
     life: Annotated[
         float | None,
         commands.quantity_option(
-            "s", "Least L10 life of the eccentric bearing.", show_default="any", metavar='"5000 h"'
+            "s", "Required L10 life of the eccentric bearing.", show_default="none", metavar='"5000 h"'
         ),
     ] = None,
     crank_speed: Annotated[
-        float, commands.quantity_option("rad/s", "Speed of the crank, for this life.", show_default="1000 rpm")
+        float, commands.quantity_option("rad/s", "Crank speed at which it lives that long.", show_default="1000 rpm")
     ] = CRANK_SPEED,
     bodies: Annotated[
-        bool, typer.Option("--bodies", help="Discs, output pins and ring are elastic: sized so, in minutes.")
+        bool, typer.Option("--bodies", help="Size the drive with elastic discs, output pins and ring; takes minutes.")
     ] = False,
     folder: Annotated[
         Path | None,
         typer.Option(
-            "--folder",
+            "--output",
             "-o",
             metavar="FOLDER",
             file_okay=False,
@@ -61,7 +64,7 @@ def new(
     ] = None,
     as_json: commands.AsJson = False,
 ) -> None:
-    """A first drive from ratio, diameter, torque, material and process, with its figures and their ranges.
+    """Size a first drive from ratio, diameter, torque, material and process, with its figures and their ranges.
 
     Example: [cyan]cycloid-fmu new --ratio 15 --outer-diameter "70 mm" --torque "15 N*m" --material POM --process CNC[/]
     """
@@ -81,7 +84,7 @@ def new(
         pin_material=pin_material,
         ring=ring,
         discs=discs,
-        output=turning,
+        output=output,
         length=length,
         life=life,
         crank_speed=crank_speed,

@@ -25,7 +25,10 @@ def profile(
     chord_error: Annotated[
         float,
         commands.quantity_option(
-            "m", "Largest distance between the flank and the written outline.", show_default="0.1 um"
+            "m",
+            "Largest distance between the flank and the written outline.",
+            show_default="0.1 um",
+            metavar='"0.1 um"',
         ),
     ] = 1e-7,
     plot: commands.PlotFile = None,

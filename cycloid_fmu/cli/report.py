@@ -20,7 +20,9 @@ def report(
     limits_file: LimitsFile = None,
     tolerances_file: Annotated[
         Path | None,
-        typer.Option("--tolerances", metavar="T.toml", help="What the parts hold, for ranges (cycloid-tolerances/1)."),
+        typer.Option(
+            "--tolerances", metavar="T.toml", help="Tolerances, for the ranges of the figures (cycloid-tolerances/1)."
+        ),
     ] = None,
 ) -> None:
     """Write a report of a drive as drawn, HTML or PDF: drawing, figures with ranges, strength, verdicts, assumptions.

@@ -34,7 +34,16 @@ LimitsFile = Annotated[
     typer.Option(
         "--limits",
         metavar="REQUIREMENTS.toml",
-        help="Requirements of the application (cycloid-requirements/1); exit code 4 if one is not met or not judged.",
+        help="Requirements of the application (cycloid-requirements/1); exit status 4 if one is not met or not judged.",
+    ),
+]
+PlatformNames = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--platform",
+        metavar="PLATFORM",
+        help="Platform of a native FMU: x86_64-linux, aarch64-linux, x86_64-windows, x86_64-darwin, aarch64-darwin; "
+        "repeatable. Default: all.",
     ),
 ]
 TolerancesFile = Annotated[
@@ -68,7 +77,7 @@ def print_judged(judged: Judged, title: str) -> None:
 
 
 def leave(verdicts: Sequence[Verdict], not_judged: Sequence[str]) -> None:
-    """End the command with its exit code if a limit is not met or not judged."""
+    """End the command with its exit status if a limit is not met or not judged."""
     from cycloid_fmu.studies.limits import all_met
 
     if not all_met(verdicts, not_judged):

@@ -11,18 +11,22 @@ from cycloid_fmu import edge
 from cycloid_fmu.cli.shared import FmuFile, MotionFile
 from cycloid_fmu.edge import commands
 
+_SPEED = edge.parse_quantity("600 rpm", "rad/s")
+
 
 def simulate(
     fmu_file: FmuFile,
     torque: Annotated[
         float | None,
-        commands.quantity_option("N*m", 'Torque on the output, such as "100 N*m".', show_default="the rated torque"),
+        commands.quantity_option("N*m", "Torque on the output.", show_default="the rated torque"),
     ] = None,
-    turns: Annotated[float, typer.Option(help="Crank turns; a negative number turns backwards.")] = 1.0,
+    turns: Annotated[
+        float | None, typer.Option(help="Crank turns; a negative number turns backwards.", show_default="1")
+    ] = None,
     speed: Annotated[
-        float, commands.quantity_option("rad/s", "Crank speed.", show_default="600 rpm")
-    ] = edge.parse_quantity("600 rpm", "rad/s"),
-    samples: Annotated[int, typer.Option(min=2, help="Samples for each crank turn.")] = 360,
+        float | None, commands.quantity_option("rad/s", "Crank speed.", "--crank-speed", show_default="600 rpm")
+    ] = None,
+    samples: Annotated[int | None, typer.Option(min=2, help="Samples per crank turn.", show_default="360")] = None,
     motion: MotionFile = None,
     output: Annotated[Path | None, commands.output_option((".csv",), "RUN.csv", "Write the results (CSV).")] = None,
     plot: commands.PlotFile = None,
@@ -38,6 +42,10 @@ def simulate(
 
     if torque is not None and motion is not None:
         raise edge.InputError("--torque and --input both state the load; give one of them.")
+    stated = {"turns": turns, "speed": speed, "samples": samples}
+    if motion is not None and (unused := [name for name, value in stated.items() if value is not None]):
+        raise edge.ArgumentError(unused[0], "is not for --input, which has the whole motion")
+    turns, speed, samples = 1.0 if turns is None else turns, _SPEED if speed is None else speed, samples or 360
     if motion is None:
         if speed <= 0.0:
             raise edge.ArgumentError("speed", "it must be above zero; turn backwards with turns below zero", speed)

@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 surface = commands.subcommands("Make error surfaces.")
 
 SurfaceOutput = Annotated[Path, commands.output_option((".nc",), "SURFACE.nc", "The surface file (netCDF).")]
-Profile = Annotated[int, typer.Option(min=1, help="Elements along a tooth's profile.")]
-Width = Annotated[int, typer.Option(min=1, help="Elements across the width.")]
-Angle = Annotated[int, typer.Option(min=1, help="Elements around the inner half of a pin.")]
+Profile = Annotated[int, typer.Option(min=1, help="Number of elements along a tooth's profile.")]
+Width = Annotated[int, typer.Option(min=1, help="Number of elements across the width.")]
+Angle = Annotated[int, typer.Option(min=1, help="Number of elements around the inner half of a pin.")]
 
 
 def _write(made: ErrorSurface, output: Path, plot: Path | None) -> None:

@@ -35,7 +35,8 @@ def sweep(
         commands.quantity_option("N*m", "Torque on the output; repeatable.", show_default="the rated torque"),
     ] = None,
     crank_speed: Annotated[
-        float, commands.quantity_option("rad/s", "Speed of the crank, for the efficiency by \\[losses].")
+        float,
+        commands.quantity_option("rad/s", "Crank speed, for the efficiency by \\[losses].", show_default="at rest"),
     ] = 0.0,
     output: Annotated[
         Path | None,
@@ -49,7 +50,7 @@ def sweep(
     surface_file: SurfaceFile = None,
     angles: Annotated[int, typer.Option(min=20, help="Number of crank angles from 0, end excluded.")] = ANGLES,
     turns: Annotated[int, typer.Option(min=1, help="Number of crank turns that the angles span.")] = 1,
-    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = os.cpu_count() or 1,
+    workers: Annotated[int, typer.Option(min=1, help="Number of processes.")] = os.cpu_count() or 1,
     as_json: commands.AsJson = False,
 ) -> None:
     """Solve a drive for every combination of several values of its pair file; gives a table, lines and maps.

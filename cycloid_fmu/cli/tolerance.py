@@ -44,16 +44,18 @@ def tolerance(
         ),
     ] = "sobol",
     angles: Annotated[
-        int, typer.Option(min=20, help="Crank angles from 0, end excluded; each tenth for play.")
+        int, typer.Option(min=20, help="Number of crank angles from 0, end excluded; every tenth also for play.")
     ] = ANGLES,
     turns: Annotated[int, typer.Option(min=1, help="Number of crank turns that the angles span.")] = 1,
-    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = os.cpu_count() or 1,
+    workers: Annotated[int, typer.Option(min=1, help="Number of processes.")] = os.cpu_count() or 1,
     scheduler: Annotated[
         str | None, typer.Option(metavar="tcp://HOST:PORT", help="Use a dask cluster instead of this machine's cores.")
     ] = None,
     target: Annotated[
         float | None,
-        typer.Option("--allocate", metavar="YIELD", help="Find the cheapest tolerances that reach this yield."),
+        typer.Option(
+            "--allocate", metavar="YIELD", help="Find the cheapest tolerances that reach this yield, such as 0.95."
+        ),
     ] = None,
     as_json: commands.AsJson = False,
 ) -> None:

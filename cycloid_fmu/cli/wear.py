@@ -25,7 +25,7 @@ def wear(
     wear_file: Annotated[Path, typer.Option("--wear", metavar="WEAR.toml", help="The wear law (cycloid-wear/1).")],
     torque: Annotated[
         float | None,
-        commands.quantity_option("N*m", 'Torque on the output, such as "-400 N*m".', show_default="the rated torque"),
+        commands.quantity_option("N*m", "Torque on the output.", show_default="the rated torque"),
     ] = None,
     crank_turns: Annotated[
         float | None, typer.Option(help="Crank turns. Default: those of the duty cycle.", show_default=False)
@@ -44,7 +44,7 @@ def wear(
     limits_file: LimitsFile = None,
     as_json: commands.AsJson = False,
 ) -> None:
-    """Wear of flanks and pins over a life, with the profile updated as it wears.
+    """Compute the wear of flanks and pins over a life, with the profile updated as it wears.
 
     Example: [cyan]cycloid-fmu wear pair.toml --wear wear.toml --torque "-400 N*m" --crank-turns 3e6 -o worn.nc[/]
     """

@@ -105,7 +105,7 @@ def _models(drive: DriveValue, temperatures: Sequence[float] | None, workers: in
         return [Model(0.0, pair, surface, rigid, workers)]
     low, high = temperatures
     if not low < high:
-        raise ArgumentError("temperatures", "the first must be below the second", f"{low:g} K, {high:g} K")
+        raise ArgumentError("temperatures", "must be two, ascending")
     models = []
     for at in np.linspace(low, high, _TEMPERATURES):
         warm = pair.replace(temperature=Temperatures(**dict.fromkeys(BODIES, float(at))))

@@ -1,6 +1,6 @@
 """Input and output shared by all three packages.
 
-Quantities with units, configuration whose errors name file and field, atomic writing of files, and exit codes. The
+Quantities with units, configuration whose errors name file and field, atomic writing of files, and exit statuses. The
 shared parts of command lines are in `edge.commands`. Nothing here depends on gears, measurements or encoders.
 """
 

@@ -1,4 +1,4 @@
-"""Shared parts of the command lines: entry point, options, tables, progress and exit codes.
+"""Shared parts of the command lines: entry point, options, tables, progress and exit statuses.
 
 A command line is a package with one module per command; each module has one function with the command's name, or a
 `typer.Typer` of subcommands. Only the module of the executed command is imported.
@@ -226,7 +226,7 @@ def _version_of(name: str) -> Callable[..., None]:
 
 
 def main(app: typer.Typer) -> NoReturn:
-    """Run a command line and end the process with its exit code."""
+    """Run a command line and end the process with its exit status."""
     # Idle OpenBLAS threads spin once NumPy is loaded: an analysis took 1.3 times as much processor time.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     status = list[int]()
@@ -256,7 +256,7 @@ class _Unraisable:
 
 
 def run(app: typer.Typer) -> NoReturn:
-    """Run a command line; the exit code is 2 after invalid input, 130 after an interrupt and 1 after a failure."""
+    """Run a command line; the exit status is 2 after invalid input, 130 after an interrupt and 1 after a failure."""
     debug, unraisable = bool(os.environ.get("CYCLOID_TRACEBACK")), _Unraisable()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     # Objects made on import are permanent: scanning them for garbage took a tenth of a short command.
@@ -310,6 +310,8 @@ def _usage(problem: Any) -> str:
     if isinstance(problem, _Refused) and problem.param is not None:
         reason = problem.message if problem.message.endswith("?") else f"{problem.message}."
         return f"{problem.param.opts[0]} = {shown(problem.given)}: {reason}"
+    if reason := _number_wanted(problem):
+        return reason
     unknown = getattr(problem, "option_name", None)
     if unknown is not None and getattr(problem, "possibilities", unknown) is not unknown:
         instead = _instead(unknown, problem.ctx.command) or f"see {where} --help."
@@ -317,6 +319,17 @@ def _usage(problem: Any) -> str:
     if "\n" in said or not said:  # a help page, or a message that is already printed
         return said
     return f"{said.rstrip('.')}; see {where} --help."
+
+
+def _number_wanted(problem: Any) -> str:
+    """Return a sentence on an option that takes a number, with the value as typed; "" for other problems."""
+    wanted = str(getattr(problem, "message", "")).partition("Input should be ")[2].partition(", unable")[0]
+    if problem.ctx is None or not wanted or getattr(problem, "param", None) is None:
+        return ""
+    values = _values(problem.ctx.meta.get("cycloid.words", ()), problem.param.opts)
+    typed = f" = {shown(values[0])}" if len(values) == 1 else ""
+    wanted = wanted.replace("a valid integer", "a whole number").replace("a valid number", "a number")
+    return f"{problem.param.opts[0]}{typed}: it must be {wanted.rstrip('.')}."
 
 
 def _instead(unknown: str, command: Any) -> str:

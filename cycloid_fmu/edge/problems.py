@@ -1,4 +1,4 @@
-"""Errors and warnings about invalid input, and the exit codes."""
+"""Errors and warnings about invalid input, and the exit statuses."""
 
 from __future__ import annotations
 
@@ -144,6 +144,8 @@ def shown(value: object) -> str:
     """Return a value as text for a sentence: in one line, text in quotes, long values except paths cut."""
     if isinstance(value, os.PathLike):
         return str(value)
+    if isinstance(value, (list, tuple)):
+        value = ", ".join(map(str, value))
     return cut(f'"{value}"' if isinstance(value, str) else str(value), 60)
 
 

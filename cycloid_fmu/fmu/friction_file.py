@@ -89,6 +89,8 @@ class FrictionTables(Config):
 
 
 class _FrictionFile(Config):
+    """Friction at both flanges."""
+
     friction: FrictionTables
 
 

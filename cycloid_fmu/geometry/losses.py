@@ -59,7 +59,7 @@ class Friction(Config):
     Attributes
     ----------
     friction
-        Name of an entry of `friction_values.VALUES`, such as "steel, grease", instead of both coefficients.
+        Name of an entry of `VALUES`, such as "steel, grease", instead of both coefficients.
     friction_coefficient
         μ at speed.
     static_friction_coefficient

@@ -75,7 +75,7 @@ class Material(Config):
     Attributes
     ----------
     name
-        Name of an entry of `materials.MATERIALS`, such as "7075-T6", for what is not stated here: modulus, Poisson's
+        Name of an entry of `MATERIALS`, such as "7075-T6", for what is not stated here: modulus, Poisson's
         ratio, and the contact pressure that a drive without a `pressure_limit` may have.
     youngs_modulus
         Young's modulus E, Pa.

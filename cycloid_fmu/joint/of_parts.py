@@ -86,7 +86,7 @@ def joint_of(
     source: dict[str, Any] = {"files": [str(path) for path in files]}
     left_out: tuple[str, ...] = ()
     if drive is None and not files and not given:
-        raise edge.InputError("A joint needs a drive, or a file with its figures.")
+        raise edge.ArgumentError("figures", "is missing; a joint needs a drive, or files with its figures")
     if drive is not None:
         if not 1 <= how.orders <= joint_drive.MOST:
             raise edge.ArgumentError("orders", f"it must be from 1 to {joint_drive.MOST}", how.orders)

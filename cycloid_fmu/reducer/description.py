@@ -34,10 +34,16 @@ MESH_STIFFNESS = 20e9
 
 
 class Deviation(Config):
-    """A deviation within `value` ± `tolerance`, m.
+    """A deviation within `value` ± `tolerance`, m; in a file also a bare length, or `{ lower, upper }`.
 
-    In a file a bare length has no tolerance; `{ value, tolerance }` and `{ lower, upper }` may have a `distribution`:
-    "normal", truncated at the tolerance, which is three standard deviations, or "uniform".
+    Attributes
+    ----------
+    value
+        Middle of the deviation, m.
+    tolerance
+        Half of its range, m; a bare length has none.
+    distribution
+        "normal", truncated at the tolerance, which is three standard deviations, or "uniform".
     """
 
     value: edge.Length = 0.0
@@ -118,10 +124,16 @@ class Involute(Config):
 
     Attributes
     ----------
+    sun_teeth, planet_teeth
+        Number of teeth.
+    module
+        Module of both gears, m.
+    pressure_angle
+        Pressure angle of both gears, rad.
     centre_distance
         Distance from sun to planet axis, m, which is the radius of the crank circle; by default from module and teeth.
     shaft_tilt
-        β of the RV paper, tilt of the input shaft, rad (`lost_motion.shaft_tilt`).
+        β of the RV paper, tilt of the input shaft, rad.
     shaft_displacement
         a_1 of the RV paper, radial displacement of the sun in mesh, m.
     planets

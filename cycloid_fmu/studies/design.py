@@ -120,9 +120,10 @@ class DesignTask(Requirements):
     duty
         Duty as in a requirements file; the search is at its torques, without a duty at the rated torque.
     goals
-        One figure of `GOALS` or a size, to be as good as possible, or two for a Pareto front.
+        One figure of the limits or a size, to be as good as possible, or two for a Pareto front.
     vary
-        {name of `VARIABLES`: (lowest, highest)}, SI.
+        {name of a variable: (lowest, highest)}, SI; in a file `pin_radius = ["2 mm", "4 mm"]`. Variables are sizes,
+        `isometric`, `offset`, `profile_rotation` and `profile_deviation_1` to `4`.
     robust
         None if the limits hold for the drive as drawn.
     """

@@ -65,7 +65,7 @@ class Limits(sampling.Limits):
         Largest allowed of the oil that runs the duty until nothing gets warmer, K; by [losses] and [thermal].
     pin_safety, output_pin_safety, disc_safety
         Smallest allowed of pins, output pins and discs against yield: permitted over nominal stress in bending, shear,
-        pressure on their seats and webs (`studies.strength`); at every load.
+        pressure on their seats and webs; at every load.
     fatigue_safety
         Smallest allowed of all three against fatigue over a crank turn.
     """

@@ -424,7 +424,7 @@ def _modified(pair: Pair, wish: Wish, tolerance_text: str, progress: Callable[[s
     """
     position = PROCESSES[wish.process].position(2.0 * pair.pin_circle_radius)
     tolerances = parse_tolerances(tolerance_text, "tolerances of the process")
-    most = min(_MODIFICATION * position, 0.9e-3, 0.3 * pair.pin_radius)
+    most = round(min(_MODIFICATION * position, 0.9e-3, 0.3 * pair.pin_radius), 9)
     largest = pair.replace(isometric=most)
     largest_pressure(largest)  # refuses a torque that no contacts balance: the search would name its ranges
     if (share := _free(largest, tolerances)) < _YIELD:
@@ -536,7 +536,7 @@ def _bodies(wish: Wish, pair: Pair, output: _Output) -> Bodies:
     half = round(0.5 * _length(pair), 9)
     hole = rollers.radius + pair.eccentricity + 0.5 * rollers.clearance
     return Bodies(
-        disc_spacing=pair.face_width + _GAP,
+        disc_spacing=round(pair.face_width + _GAP, 9),
         disc={"bore_radius": output.bearing_seat, "roller_hole_radius": round(hole, 9)},
         output_pin={"ends": "clamped", "from": -half, "to": half, "diameter": 2.0 * rollers.radius},
         ring={"outer_radius": 0.5 * wish.outer_diameter, "width": 2.0 * half},
@@ -651,7 +651,7 @@ def _with_output(
             "stiffness": _three(stiffness),
             "dynamic_capacity": round(1e3 * capacity, 3),
             "rolling_elements": "balls",
-            "raceway_diameter": 1e-3 * outside,
+            "raceway_diameter": outside / 1e3,
         },
         output_roller={
             "stiffness": _three(1.0 / (1.0 / bending + 1.0 / contact)),
@@ -682,7 +682,7 @@ def _with_output(
         )
     if clearance > 2e-4:
         notes.append(f"The clearance of the output holes would be {clearance * 1e6:.0f} µm; the model ends at 200 µm.")
-    return _Output(supports, losses, reasons, notes, 0.5e-3 * outside, 1e-3 * ball_width, _three(contact))
+    return _Output(supports, losses, reasons, notes, outside / 2e3, ball_width / 1e3, _three(contact))
 
 
 def _losses(wish: Wish, pin: float, bore: float, outside: float) -> Losses | None:

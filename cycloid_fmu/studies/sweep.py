@@ -136,8 +136,8 @@ def check_sweep(sweep: Sweep) -> None:
     Raises
     ------
     edge.InputError
-        If nothing is varied, something is varied twice, there are too many drives, a load is zero or missing, or no
-        combination is valid.
+        If nothing is varied, something is varied twice, there are too many drives, a load is zero or missing, the speed
+        is below zero, or no combination is valid.
     """
     names = [one.name for one in sweep.vary]
     if not names:
@@ -145,11 +145,15 @@ def check_sweep(sweep: Sweep) -> None:
     if twice := [name for name in names if names.count(name) > 1]:
         raise edge.ArgumentError("vary", "it is varied twice", twice[0])
     if sweep.drives > MOST:
-        raise edge.ArgumentError("vary", f"these are {sweep.drives} drives; a sweep has at most {MOST}")
+        raise edge.ArgumentError("vary", f"makes {sweep.drives} drives; a sweep has at most {MOST}")
     if 0.0 in sweep.torque:
         raise edge.ArgumentError("torque", "a sweep's loads must not be zero; the play has its own figures", 0.0)
     if len(set(sweep.torque)) != len(sweep.torque):
         raise edge.ArgumentError("torque", "the loads must be different", edge.listed(map(str, sweep.torque)))
+    if not sweep.crank_speed >= 0.0:
+        raise edge.ArgumentError(
+            "crank_speed", "it must not be below zero; both directions are solved", sweep.crank_speed
+        )
     reason = ""
     for number in range(sweep.drives):
         try:

@@ -84,14 +84,30 @@ ZoneTolerance = Annotated[Length, _up_to(2.0 * LARGEST_ELEMENT, "1 mm")]
 
 
 class LengthError(Config):
-    """An error within ± `tolerance` (m); a normal distribution is truncated there, at three standard deviations."""
+    """An error within ± its tolerance.
+
+    Attributes
+    ----------
+    tolerance
+        Largest magnitude of the error, m.
+    distribution
+        Distribution of the error; a normal one is truncated at the tolerance, at three standard deviations.
+    """
 
     tolerance: LengthTolerance
     distribution: Distribution = "normal"
 
 
 class AngleError(Config):
-    """An angle within ± `tolerance` (rad); a normal distribution is truncated there, at three standard deviations."""
+    """An angle within ± its tolerance.
+
+    Attributes
+    ----------
+    tolerance
+        Largest magnitude of the angle, rad.
+    distribution
+        Distribution of the angle; a normal one is truncated at the tolerance, at three standard deviations.
+    """
 
     tolerance: AngleTolerance
     distribution: Distribution = "normal"
@@ -127,10 +143,16 @@ class PitchErrors(Config):
 
 
 class Correlation(Config):
-    """Correlation lengths of a form deviation, as fractions of the profile and of the face width.
+    """Correlation lengths of a form deviation: deviations at this distance have a correlation of exp(-1/2).
 
-    Deviations at this distance have a correlation of exp(-1/2). The defaults give about two waves along a tooth's
-    profile and one across its width.
+    The defaults give about two waves along a tooth's profile and one across its width.
+
+    Attributes
+    ----------
+    profile
+        Correlation length along the profile, as a fraction of it.
+    width
+        Correlation length across the face width, as a fraction of it.
     """
 
     profile: float = pydantic.Field(default=0.15, ge=0.005, le=100.0)
@@ -206,7 +228,12 @@ class Tolerances(Config):
     The arguments are the keys of the tolerances (`pin_circle_diameter` is the circle's diameter, `pin_radius` is common
     to all pins, `pin_radius_each` is that of each pin; `gear_pitch` and `pin_pitch` are positions around the circle),
     each a `LengthError`, `AngleError` or `PitchErrors`, or a table of its values. `limits` are those of an acceptable
-    drive, `costs` the relative cost of each tolerance at its stated width (default 1).
+    drive.
+
+    Attributes
+    ----------
+    costs
+        Relative cost of each tolerance at its stated width, by the tolerance's name; 1 where not stated.
 
     Raises
     ------
@@ -506,11 +533,11 @@ def sample_surface(pair: Pair, tolerances: Tolerances, seed: int, elements: Elem
 
     Raises
     ------
-    edge.InputError
+    edge.ArgumentError
         If the seed is out of range.
     """
     if not 0 <= seed <= LARGEST_SEED:
-        raise edge.InputError(f"seed = {seed}: it must be between 0 and {LARGEST_SEED}.")
+        raise edge.ArgumentError("seed", f"it must be between 0 and {LARGEST_SEED}", seed)
     streams = {name: error_stream(seed, name) for name in tolerances.factors}
     drawn = _drawn(pair, tolerances, streams, {}, elements or Elements())
     return drawn.replace(attributes={"seed": seed, "tolerances": tolerances.text})

@@ -423,15 +423,17 @@ def surface_after(surface: ErrorSurface, crank_turns: float) -> ErrorSurface:
 
     Raises
     ------
-    ValueError
+    edge.ArgumentError
         If it has no life, or the life ends earlier.
     """
     life = surface.life
     if life is None:
-        raise ValueError("this surface has no life")
+        problem = "needs a worn drive; give a surface written by cycloid-fmu wear -o or cycloid-fit forecast --twin"
+        raise edge.ArgumentError("crank_turns", problem)
     turns, last = life.crank_turns, life.crank_turns.size - 1
     if not 0.0 <= crank_turns <= turns[-1]:
-        raise ValueError(f"crank_turns = {crank_turns:g}: it must be between 0 and {turns[-1]:g}, the end of the life")
+        limit = f"it must be between 0 and {turns[-1]:g}, the end of the life"
+        raise edge.ArgumentError("crank_turns", limit, crank_turns)
     after = min(max(int(np.searchsorted(turns, crank_turns)), 1), last)
     before = min(after - 1, last)
     span = turns[after] - turns[before]

@@ -33,14 +33,22 @@ class Regression(edge.Config):
 
 
 class Load(edge.Config):
-    """One row of a duty cycle: a torque of the environment on the output (N·m) and crank turns under it."""
+    """One row of a duty cycle.
+
+    Attributes
+    ----------
+    torque
+        Torque of the environment on the output, N·m.
+    crank_turns
+        Crank turns under this torque.
+    """
 
     torque: edge.Torque
     crank_turns: float = pydantic.Field(ge=0.0, allow_inf_nan=False)
 
 
 class WearLaw(edge.Config):
-    """The `[wear]` table.
+    """How flanks and pins wear.
 
     Attributes
     ----------
@@ -77,6 +85,8 @@ class WearLaw(edge.Config):
 
 
 class _WearFile(edge.Config):
+    """A wear law, and the duty where it is stated here."""
+
     wear: WearLaw
 
 

@@ -15,8 +15,10 @@ from drivers.cli.shown import Allowed, LiveLine, recording, report
 def record(
     bench: Annotated[Path, typer.Argument(metavar="BENCH.toml", help="The wiring: buses, ports and channels.")],
     output: Annotated[Path, output_option((".arrows",), "RUN.arrows", "New file to record to.")],
-    duration: Annotated[float | None, quantity_option("s", "Stop after this time.")] = None,
-    idle: Annotated[float | None, quantity_option("s", "Stop after this time without samples.")] = None,
+    duration: Annotated[float | None, quantity_option("s", "Stop after this time.", metavar='"60 s"')] = None,
+    idle: Annotated[
+        float | None, quantity_option("s", "Stop after this time without samples.", metavar='"2 s"')
+    ] = None,
     allow: Allowed = None,
 ) -> None:
     """Record all channels of a bench until Ctrl-C, or until the duration or the idle time is over.

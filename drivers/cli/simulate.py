@@ -19,7 +19,7 @@ def simulate(
         Path | None, typer.Option("--fmu", metavar="DRIVE.fmu", help="The drive. Default: an ideal one.")
     ] = None,
     torque: Annotated[
-        float | None, quantity_option("N*m", "Signed torque on the output.", show_default="the rated torque of the FMU")
+        float | None, quantity_option("N*m", "Torque on the output.", show_default="the rated torque of the FMU")
     ] = None,
     ratio: Annotated[float | None, ratio_option("Default: that of the FMU.")] = None,
     turns: Annotated[int, typer.Option(min=1, help="Crank turns.")] = 39,
@@ -30,9 +30,13 @@ def simulate(
         Path | None, output_option((".arrows",), "RUN.arrows", "Record the simulated run here directly.")
     ] = None,
     direction: Annotated[Any, choice_option(("forward", "backward"), "Direction of the crank's rotation.")] = "forward",
-    speed: Annotated[float, quantity_option("rad/s", "Crank speed.", show_default="60 rpm")] = 6.283185307179586,
-    noise: Annotated[float, quantity_option("rad", "RMS noise of each encoder.")] = 0.0,
-    seed: Annotated[int, typer.Option(min=0, help="Random seed of the noise.")] = 0,
+    speed: Annotated[
+        float, quantity_option("rad/s", "Crank speed.", "--crank-speed", show_default="60 rpm")
+    ] = 6.283185307179586,
+    noise: Annotated[
+        float, quantity_option("rad", "RMS noise of each encoder.", show_default="none", metavar='"0.5 arcsec"')
+    ] = 0.0,
+    seed: Annotated[int, typer.Option(min=0, help="The same seed makes the same noise.")] = 0,
     samples_per_turn: Annotated[int, typer.Option(min=3, help="Samples per crank turn.")] = 96,
     hysteresis: Annotated[
         bool,

@@ -53,7 +53,8 @@ class AsciiConfig(AngleConfig):
     port
         Name of the port's table.
     line
-        The line with fields, without its line end; see the module's docstring.
+        The line as sent, without its line end: `{counts}` or `{value}` is the measured quantity, `{time}` the device's
+        clock, `{sequence}` the line's number, `{checksum}` two hexadecimal digits, `{skip}` any text.
     request
         Text that requests a line; absent: the device sends lines on its own.
     counts_modulus, sequence_modulus, time_modulus

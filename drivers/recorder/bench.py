@@ -22,7 +22,21 @@ BENCH_FORMAT = "cycloid-bench/1"
 
 
 class Conditions(edge.Config):
-    """Content of `[conditions]`: signed load on the output, N*m, speed, rad/s, temperature, K, direction, note."""
+    """Content of `[conditions]`: what is stated of every recording of this bench.
+
+    Attributes
+    ----------
+    load
+        Signed load on the output, N*m.
+    speed
+        Speed, rad/s.
+    direction
+        Direction of the rotation.
+    temperature
+        Temperature, K.
+    note
+        Any text.
+    """
 
     load: edge.Torque | None = None
     speed: edge.Speed | None = None
@@ -32,6 +46,23 @@ class Conditions(edge.Config):
 
 
 class _BenchFile(edge.Config):
+    """Content of a `BENCH.toml`: buses, ports and channels of a test bench, and its drive.
+
+    Attributes
+    ----------
+    ratio
+        Signed ratio input/output of the ideal drive.
+    pair
+        Name of the drive, which the recording states.
+    largest_deviation
+        Largest deviation of the output angle from the input angle over the ratio, rad; more is implausible. 1 deg where
+        not stated.
+    actuator
+        A plug-in that sets torque and speed of the steps of a sequence, and its keys.
+    channel
+        The channels by name: `[channel.input_angle]`, `[channel.output_angle]`, `[channel.torque]` and others.
+    """
+
     ratio: float | None = None
     pair: str = ""
     largest_deviation: Annotated[edge.Angle, pydantic.Field(gt=0)] | None = None
@@ -59,7 +90,7 @@ class _BenchFile(edge.Config):
 def bench_file(lines: Iterable[type[LineConfig]] = (BusConfig, PortConfig)) -> type[_BenchFile]:
     """Return the class of a `BENCH.toml` with tables of these lines."""
     tables: dict[str, Any] = {c.kind: (dict[str, c], pydantic.Field(default_factory=dict)) for c in lines}  # type: ignore[valid-type]
-    return pydantic.create_model("BenchFile", __base__=_BenchFile, **tables)
+    return pydantic.create_model("BenchFile", __base__=_BenchFile, __doc__=_BenchFile.__doc__, **tables)
 
 
 def _line_kinds(users: Mapping[str, type[LineConfig] | None], source: str) -> dict[str, type[LineConfig]]:

@@ -34,6 +34,16 @@ Direction: TypeAlias = Literal["forward", "backward"]
 
 
 class _Hysteresis(edge.Config):
+    """A step with the input locked, in which the torque goes to both sides and back.
+
+    Attributes
+    ----------
+    torque
+        Largest torque of the loop in both directions, N*m.
+    loops
+        Number of loops.
+    """
+
     torque: edge.Torque
     loops: Annotated[int, pydantic.Field(ge=1)] = 1
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
+import re
 import shutil
 from collections.abc import Callable
 from typing import Any, Literal, TypeAlias
@@ -129,17 +130,20 @@ def fmu_output_angle(path: str | os.PathLike[str], step: float = 1e-3) -> Output
     ------
     edge.InputError
         If it is no FMI 2.0 co-simulation FMU with the inputs `flange_a.phi`, `flange_b.tau` and the output
-        `flange_b.phi`.
+        `flange_b.phi`. The function raises it with the FMU's message where the FMU refuses a torque or an angle.
     """
     from fmpy import extract
-    from fmpy.fmi2 import FMU2Slave
+    from fmpy.fmi1 import FMICallException
+    from fmpy.fmi2 import FMU2Slave, defaultCallbacks, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
 
     description = _description(path)
     references = {v.name: v.valueReference for v in description.modelVariables}
-    missing = [n for n in ("flange_a.phi", "flange_b.tau", "flange_b.phi") if n not in references]
+    causalities = {v.name: v.causality for v in description.modelVariables}
+    needed = {"flange_a.phi": "input", "flange_b.tau": "input", "flange_b.phi": "output"}
+    missing = [f"{kind} {name}" for name, kind in needed.items() if causalities.get(name) != kind]
     if description.fmiVersion != "2.0" or description.coSimulation is None or missing:
-        what = f"it has no variable {missing[0]}" if missing else f"FMI {description.fmiVersion}"
-        raise edge.InputError(f"{path}: the bench needs an FMI 2.0 co-simulation FMU of a drive; {what}.")
+        what = f"it has no {missing[0]}" if missing else f"FMI {description.fmiVersion}"
+        raise edge.InputError(f"{path}: the bench needs a kinematic FMI 2.0 co-simulation FMU of a drive; {what}.")
 
     def output_angle(angle: FloatArray, torque: FloatArray) -> FloatArray:
         folder = extract(str(path))
@@ -151,9 +155,13 @@ def fmu_output_angle(path: str | os.PathLike[str], step: float = 1e-3) -> Output
         )
         inputs = [references["flange_a.phi"], references["flange_b.tau"]]
         outputs = [references["flange_b.phi"]]
-        output = np.empty(len(angle))
+        output, messages = np.empty(len(angle)), list[str]()
+        callbacks = fmi2CallbackFunctions(*(getattr(defaultCallbacks, n) for n, _ in fmi2CallbackFunctions._fields_))
+        callbacks.logger = fmi2CallbackLoggerTYPE(
+            lambda *words: messages.append(words[-1].decode("utf-8", "replace").splitlines()[-1])
+        )
         try:
-            fmu.instantiate()
+            fmu.instantiate(callbacks=callbacks, loggingOn=True)
             try:
                 fmu.setupExperiment(startTime=0.0)
                 fmu.enterInitializationMode()
@@ -165,6 +173,10 @@ def fmu_output_angle(path: str | os.PathLike[str], step: float = 1e-3) -> Output
                     fmu.doStep(i * step, step)
                     output[i] = fmu.getReal(outputs)[0]
                 fmu.terminate()
+            except FMICallException as problem:
+                # Messages of a Python slave begin with the exception's class.
+                why = re.sub(r"""^\w+\((['"])(.*)\1\)$""", r"\2", messages[-1] if messages else str(problem))
+                raise edge.InputError(f"{path}: the run was refused: {why.rstrip('.')}.") from None
             finally:
                 fmu.freeInstance()
         finally:

@@ -37,7 +37,7 @@ class PerFigure(edge.Config):
     Attributes
     ----------
     lost_motion, backlash, angular_transmission_error
-        rad; None if not stated.
+        Value of the figure, rad.
     """
 
     lost_motion: _PositiveAngle | None = None

@@ -16,8 +16,8 @@ def ensemble(
     surface: Annotated[Path, typer.Argument(metavar="S.nc", help="An identified error surface.")],
     drive: options.PairFile,
     output: Annotated[Path, typer.Option("--output", "-o", metavar="FOLDER", help="Folder for the surfaces.")],
-    count: Annotated[int, typer.Option(min=1, max=10000, help="Number of surfaces.")] = 20,
-    seed: Annotated[int, typer.Option(min=0, help="Random seed; the same seed draws the same surfaces.")] = 0,
+    count: Annotated[int, typer.Option("--draws", min=1, max=10000, help="Number of surfaces drawn.")] = 20,
+    seed: Annotated[int, typer.Option(min=0, help="The same seed draws the same surfaces.")] = 0,
     torque: Annotated[
         float | None,
         commands.quantity_option(

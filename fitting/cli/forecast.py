@@ -31,8 +31,9 @@ def forecast(
         float | None,
         commands.quantity_option(
             "s",
-            'End of the forecast, such as "20000 h"; default: twice the age of the last recording.',
-            show_default=False,
+            "End of the forecast.",
+            show_default="twice the age of the last recording",
+            metavar='"20000 h"',
         ),
     ] = None,
     output: Annotated[

@@ -31,7 +31,7 @@ def identify(
     tolerances: Annotated[
         Path | None,
         typer.Option(
-            metavar="TOL.toml",
+            metavar="T.toml",
             help="Tolerances that set the prior of single pins and teeth, and of the form shared by all teeth.",
         ),
     ] = None,
@@ -42,7 +42,7 @@ def identify(
         ),
     ] = None,
     form: Annotated[
-        str, typer.Option(metavar="LENGTH", help="Expected form error shared by all flanks; 0 um if the form is known.")
+        str, typer.Option(metavar='"1 um"', help="Expected form error shared by all flanks; 0 um if the form is known.")
     ] = "1 um",
     parameters: Annotated[
         Path | None,

@@ -27,7 +27,9 @@ RatedTorque = Annotated[float | None, commands.quantity_option("N*m", "Rated tor
 InstrumentsFile = Annotated[
     Path | None,
     typer.Option(
-        "--instruments", metavar="BENCH.toml", help="Instruments of the bench, for uncertainty budgets by the GUM."
+        "--instruments",
+        metavar="INSTRUMENTS.toml",
+        help="Instruments of the bench, for uncertainty budgets by the GUM.",
     ),
 ]
 StiffnessLimits = Annotated[

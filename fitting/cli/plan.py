@@ -30,7 +30,10 @@ def plan(
     noise: Annotated[
         float,
         commands.quantity_option(
-            "rad", "Standard deviation of one sample's transmission error.", show_default="0.5 arcsec"
+            "rad",
+            "Standard deviation of one sample's transmission error.",
+            show_default="0.5 arcsec",
+            metavar='"0.5 arcsec"',
         ),
     ] = 0.5 / ARCSEC,
     loop: Annotated[
@@ -41,11 +44,14 @@ def plan(
     scatter: Annotated[
         float,
         commands.quantity_option(
-            "m", "Standard deviation of single pins and teeth beyond their low orders.", show_default="0.3 um"
+            "m",
+            "Standard deviation of single pins and teeth beyond their low orders.",
+            show_default="0.3 um",
+            metavar='"0.3 um"',
         ),
     ] = 0.3e-6,
     form: Annotated[
-        str, typer.Option(metavar="LENGTH", help="Expected form error shared by all flanks; 0 um if the form is known.")
+        str, typer.Option(metavar='"1 um"', help="Expected form error shared by all flanks; 0 um if the form is known.")
     ] = "1 um",
     as_json: commands.AsJson = False,
 ) -> None:

@@ -53,7 +53,9 @@ def recalibrate(
     ] = None,
     drift: Annotated[
         float,
-        commands.quantity_option("m", "Standard deviation of uniform wear in 10^7 crank turns.", show_default="1 um"),
+        commands.quantity_option(
+            "m", "Standard deviation of uniform wear in 10^7 crank turns.", show_default="1 um", metavar='"1 um"'
+        ),
     ] = 1e-6,
     plan: Annotated[
         list[float] | None,
@@ -61,11 +63,15 @@ def recalibrate(
     ] = None,
     wanted: Annotated[
         float | None,
-        commands.quantity_option("rad", "With --plan: required half width of the backlash's 95 % interval."),
+        commands.quantity_option(
+            "rad", "With --plan: required half width of the backlash's 95 % interval.", metavar='"5 arcsec"'
+        ),
     ] = None,
     mark: Annotated[
         float | None,
-        commands.quantity_option("rad", "With --plan: standard deviation of one passage of an index mark."),
+        commands.quantity_option(
+            "rad", "With --plan: standard deviation of one passage of an index mark.", metavar='"1 arcsec"'
+        ),
     ] = None,
     plot: commands.PlotFile = None,
     as_json: commands.AsJson = False,

@@ -23,7 +23,7 @@ def report(
     certificate: Annotated[
         Path | None,
         typer.Option(
-            metavar="DRIVE.toml", help="Add a certificate: device, limits, decision rule; with --instruments."
+            metavar="CERTIFICATE.toml", help="Add a certificate: device, limits, decision rule; with --instruments."
         ),
     ] = None,
     as_json: commands.AsJson = False,

@@ -312,5 +312,5 @@ def _check(curves: Sequence[Curve], bootstrap: int, profiled: Sequence[str], err
             )
     for name in profiled:
         if name not in errors:
-            near = edge.did_you_mean(name, errors).rstrip("?") or f"one of {', '.join(errors)}"
+            near = edge.did_you_mean(name, errors) or f"give one of {', '.join(errors)}"
             raise edge.ArgumentError("profiled", f"it is not an error of this drive; {near}", name)

@@ -854,7 +854,9 @@ def _range_of(speeds: Sequence[float | str] | None) -> tuple[float, float] | Non
         return None
     limits = [positive(speed, "rad/s", "speeds", zero=True) for speed in speeds]
     if len(limits) != 2 or not limits[0] < limits[1]:
-        raise edge.ArgumentError("speeds", 'give two speeds of the output, ascending: "0.1 rev/s", "1 rev/s"', speeds)
+        raise edge.ArgumentError(
+            "speeds", "give two speeds of the output, ascending, such as 0.1 rev/s, 1 rev/s", speeds
+        )
     return limits[0], limits[1]
 
 

@@ -96,7 +96,7 @@ def checked(given: lmfit.Parameters, names: Collection[str]) -> None:
     for name, one in given.items():
         # Causes of misfit that another fit found are suspected anew.
         if name not in names and not name.startswith("misfit_"):
-            near = edge.did_you_mean(name, names).rstrip("?") or "fitting.parameters states all"
+            near = edge.did_you_mean(name, names) or "fitting.parameters states all"
             raise edge.ArgumentError("parameters", f"{name} is not an unknown of this fit; {near}")
         if not math.isfinite(one.value):
             raise edge.ArgumentError("parameters", f"{name} must have a finite value", one.value)

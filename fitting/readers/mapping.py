@@ -35,10 +35,10 @@ class ChannelMapping(edge.Config):
     column
         The channel's name in the file.
     file_name
-        In place of a column, for `CONSTANTS`: pattern in the file's name, with {} for the number that applies to the
-        whole recording, such as "_{}Nm".
+        In place of a column, for torque, speed and temperature: pattern in the file's name, with {} for the number that
+        applies to the whole recording, such as "_{}Nm".
     value
-        In place of a column, for `CONSTANTS`: the value of the whole recording, such as "50 N*m".
+        In place of a column, for torque, speed and temperature: the value of the whole recording, such as "50 N*m".
     unit
         Unit of the numbers; required if the file states none, and overrides that of the file.
     counts_per_turn
@@ -169,7 +169,7 @@ class FileMapping(_OneRun):
     runs
         Several runs in one table, each a separate recording.
     last_row_first
-        As in `RunMapping`.
+        Whether the last sample is in the first row.
     """
 
     ratio: float | None = None

@@ -71,6 +71,19 @@ class ReadHead:
 
 
 class _Head(edge.Config):
+    """A single read head on a disc.
+
+    Attributes
+    ----------
+    radius, radius_uncertainty
+        Reading radius and its standard uncertainty, m.
+    direction
+        Angle from the head to the direction of the displacement, rad, counter-clockwise positive: at +90° the
+        displacement moves the disc under the head as a counter-clockwise rotation would.
+    displacement
+        CSV file of the shaft's displacement at the disc over the torque, relative to this file.
+    """
+
     radius: PositiveLength
     radius_uncertainty: Annotated[edge.Length, pydantic.Field(ge=0.0)] = 0.0
     direction: edge.Angle = 0.5 * math.pi
@@ -78,6 +91,8 @@ class _Head(edge.Config):
 
 
 class _File(edge.Config):
+    """A read head on a shaft that the load displaces."""
+
     read_head: _Head
 
 

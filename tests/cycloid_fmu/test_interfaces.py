@@ -395,6 +395,7 @@ def test_commands_lead_and_compare(command, tmp_path):
         ),
         (["simulate", "k.fmu"], "--torque"),
         (["simulate", "k.fmu", "--input", "none.csv"], "none.csv: No such file"),
+        (["simulate", "k.fmu", "--input", "run.csv", "--turns", "2"], "--turns is not for --input"),
         (["build", "pair.toml", "-o", "x.fmu", "--interface", "stiff"], "kinematic, compliant"),
         (["build", "pair.toml", "-o", "x.fmu", "--fmi", "1.0"], "2.0, 3.0"),
         (["build", "pair.toml", "-o", "x.fmu", "--output-inertia", "1 kg*m^2"], "--output-inertia is only for"),
@@ -405,6 +406,15 @@ def test_commands_lead_and_compare(command, tmp_path):
         assert said in refused.stderr
         assert len(refused.stderr.strip().splitlines()) == 1
     assert not (tmp_path / "x.fmu").exists()
+    for words, said in (
+        (["c.fmu", "--torque", "5 N*m"], "c.fmu: the bench needs a kinematic FMI 2.0 co-simulation FMU of a drive"),
+        (["k.fmu", "--torque", "1e9 N*m"], "k.fmu: the run was refused: flange_b.tau = 1e+09 N.m: no contacts of"),
+    ):
+        refused = command("cycloid-bench", "simulate", "-o", "run.arrows", "--fmu", *words)
+        assert refused.returncode == 2, words
+        assert refused.stderr.startswith(said), refused.stderr
+        assert len(refused.stderr.strip().splitlines()) == 1
+    assert not (tmp_path / "run.arrows").exists()
 
 
 def test_an_fmu_compares_with_a_recording(command, tmp_path):

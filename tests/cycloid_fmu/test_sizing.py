@@ -199,6 +199,25 @@ def test_the_text_with_reasons_is_the_pair(sized):
     assert re.search(r"^pin_radius = .*# largest dowel", sized.text, re.MULTILINE)
 
 
+def long_numbers(drive):
+    """Numbers of a drive's files with more digits than a drawing has: a pin circle to 1 µm, a modification to 1 nm."""
+    numbers = re.findall(r"\d+(?:\.\d+)?(?:e[+-]?\d+)?", drive.text + drive.tolerances)
+    return [number for number in numbers if len(number.partition("e")[0].replace(".", "").strip("0")) > 5]
+
+
+def test_files_have_numbers_of_a_drawing(sized):
+    assert long_numbers(sized) == []
+
+
+@pytest.mark.slow(4)
+def test_files_have_numbers_of_a_drawing_with_any_bearing():
+    """One of 72 mm outside diameter and 9 mm width: 1e-3 times either is not the float next to the size."""
+    wish = Wish(ratio=19, outer_diameter="120 mm", torque="40 N*m", material="quenched steel", process="grinding")
+    drive = size(wish)
+    assert drive.pair.supports.turning_arm.raceway_diameter == 0.072
+    assert long_numbers(drive) == []
+
+
 @pytest.mark.slow(2)
 def test_the_ring_as_output_has_one_tooth_less_than_the_ratio():
     drive = size(Wish(**{**CNC, "output": "ring"}))

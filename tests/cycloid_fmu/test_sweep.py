@@ -261,8 +261,12 @@ def test_other_bad_input_is_one_sentence(command):
     for words, said in (
         ([*vary, *vary], '--vary = "pin_radius=2.9,3 mm": it is varied twice.'),
         ([*vary, "--torque", "0 N*m"], '--torque = "0 N*m": a sweep\'s loads must not be zero'),
+        (
+            [*vary, "--crank-speed", "-3 rpm"],
+            '--crank-speed = "-3 rpm": it must not be below zero; both directions are solved.',
+        ),
         ([*vary, "-o", "a.txt"], "--output = a.txt: the name must end in .csv or .parquet or .nc."),
-        (["--vary", "isometric=0:1:99999 um", *vary, "--vary", "offset=0:1:6 um"], "--vary these are 1199988 drives"),
+        (["--vary", "isometric=0:1:99999 um", *vary, "--vary", "offset=0:1:6 um"], "--vary makes 1199988 drives"),
     ):
         done = command("cycloid-fmu", "sweep", PAIR, *words)
         assert done.returncode == 2

@@ -443,7 +443,7 @@ def test_the_worn_surface_travels(run, tmp_path):
         np.testing.assert_allclose(play, expected.backlash, atol=1e-3 * ARCSEC)
     assert np.abs(surface_after(read, 0.0).gear_deviation).max() == 0.0
     assert (surface_after(read, 4e5).gear_deviation == read.gear_deviation).all()
-    with pytest.raises(ValueError, match="between 0 and 400000"):
+    with pytest.raises(edge.InputError, match="between 0 and 400000"):
         surface_after(read, 5e5)
 
 

@@ -415,7 +415,7 @@ def test_an_age_outside_of_the_forecast_is_refused(twin, age, factor, said):
 def test_a_drive_without_a_forecast_has_no_age():
     with pytest.raises(edge.InputError, match=r"^age = .*: needs a drive with a forecast"):
         cy.Drive(pair_of(11)).at_age(5.0)
-    with pytest.raises(edge.InputError, match=r"has no life"):
+    with pytest.raises(edge.InputError, match=r"^crank_turns needs a worn drive"):
         cy.Drive(pair_of(11)).after(5.0)
 
 

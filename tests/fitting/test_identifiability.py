@@ -235,7 +235,7 @@ def test_plan_and_ensemble_from_the_command_line(command, found, nominal, tmp_pa
     assert "C: 200 and 20 N·m both ways; next " in run.stdout
     assert "pin_radial, each [µm]" in run.stdout
     run = command(
-        "cycloid-fit", "ensemble", "s.nc", "--pair", "pair.toml", "-o", "drawn", "--count", "3", "--plot", "b.png"
+        "cycloid-fit", "ensemble", "s.nc", "--pair", "pair.toml", "-o", "drawn", "--draws", "3", "--plot", "b.png"
     )
     assert run.returncode == 0, run.stderr
     assert len(list((tmp_path / "drawn").iterdir())) == 3

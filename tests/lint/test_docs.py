@@ -158,6 +158,23 @@ def test_commands_are_complete_as_written(page):
             assert incomplete(line) == "" or (page.stem != "README" and "No such option" not in incomplete(line)), line
 
 
+OUR_FILES = re.compile(
+    r"[`\"]((?:cycloid_fmu|fitting|drivers|tests|studies|benchmarks|examples|docs)/[\w./-]+\.\w+)[`\":]"
+)
+
+
+@pytest.mark.parametrize("page", [*PAGES, ROOT / "studies" / "mutate.py"], ids=lambda p: p.stem)
+def test_files_of_the_repository_that_a_page_names_exist(page):
+    named = OUR_FILES.findall(page.read_text(encoding="utf-8"))
+    assert [name for name in named if not (ROOT / name).exists()] == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.stem)
+def test_objects_that_a_page_names_exist(page):
+    for name in set(re.findall(r"{py:obj}`~?([\w.]+)`", page.read_text(encoding="utf-8"))):
+        resolved(name)
+
+
 def test_a_command_that_lacks_an_option_is_found():
     assert incomplete("cycloid-fmu tolerance p.toml") == "--tolerances is missing"
     assert "--nonsense" in incomplete("cycloid-fmu analyze p.toml --nonsense 3")
@@ -445,7 +462,10 @@ def test_every_key_of_a_pair_file_has_its_own_meaning(tmp_path, monkeypatch):
     assert file_reference.PAGE.read_text(encoding="utf-8") == (tmp_path / "files.md").read_text(encoding="utf-8"), (
         "write it: python docs/file_reference.py"
     )
-    section = (tmp_path / "files.md").read_text(encoding="utf-8").split("\n## ")[1]
+    page = (tmp_path / "files.md").read_text(encoding="utf-8")
+    assert [line for line in page.splitlines() if line.startswith("| `") and line.endswith("|  |")] == []
+    assert not re.search(r"\bNone\b|or text\b.*\|$", page), "words of Python"
+    section = page.split("\n## ")[1]
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in section.splitlines() if line[:3] == "| `"]
     meanings = {cells[0]: cells[-1] for cells in rows if len(cells) == 4}
     assert {f"`{name}`" for name in (*Pair.model_fields, "isometric", "offset")} - set(meanings) == {
