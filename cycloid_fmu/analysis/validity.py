@@ -137,8 +137,20 @@ def step_notes(pins: int, angles: int, turns: int) -> list[str]:
     phases = angles // math.gcd(angles, turns * pins)
     if phases >= min(angles, _PHASES):
         return []
-    other = next(n for n in itertools.count(angles) if math.gcd(n, turns * pins) == 1)
     return [
         f"{angles} crank angles meet only {phases} phase{'s' * (phases > 1)} of the mesh of {pins} pins: what lies "
-        f"between is missed; take {other}."
+        f"between is missed; take {out_of_step(pins, angles, turns)}."
     ]
+
+
+def out_of_step(pins: int, least: int, turns: int = 1) -> int:
+    """Return the next number of crank angles, from `least` on, each of which meets another phase of the mesh.
+
+    The other arguments are those of `step_notes`.
+
+    Examples
+    --------
+    >>> out_of_step(40, 90), out_of_step(12, 90)
+    (91, 91)
+    """
+    return next(n for n in itertools.count(least) if math.gcd(n, turns * pins) == 1)

@@ -27,9 +27,7 @@ def new(
     discs: Annotated[int, typer.Option(help="Number of discs, 1 to 4.")] = 2,
     output: Annotated[
         str,
-        commands.choice_option(
-            ("gear", "ring"), "Part that is the output: the gear with its carrier, or the ring.", "--output-part"
-        ),
+        commands.choice_option(("gear", "ring"), "Part that is the output: the gear with its carrier, or the ring."),
     ] = "gear",
     length: Annotated[
         float | None,
@@ -55,7 +53,7 @@ def new(
     folder: Annotated[
         Path | None,
         typer.Option(
-            "--output",
+            "--folder",
             "-o",
             metavar="FOLDER",
             file_okay=False,

@@ -145,7 +145,7 @@ def shown(value: object) -> str:
     if isinstance(value, os.PathLike):
         return str(value)
     if isinstance(value, (list, tuple)):
-        value = ", ".join(map(str, value))
+        return cut(f"[{', '.join(map(shown, value))}]", 60)
     return cut(f'"{value}"' if isinstance(value, str) else str(value), 60)
 
 

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from cycloid_fmu.analysis import series_compliance, solve
+from cycloid_fmu.analysis.validity import out_of_step
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry import ANGLES
 from cycloid_fmu.geometry.pair import Pair
@@ -75,7 +76,7 @@ _SHOWN = {
 }
 _ELEMENTS = 50  # elements along the profile of a form, which has low orders only
 _NOTICED = {"m": 1e-6, "rad": 5e-6}  # unit of the margin of a figure whose limit is 0
-_ANGLES = 90  # crank angles of a sampled drive
+_ANGLES = 90  # crank angles of a sampled drive, at least
 _PITCH_ANGLES = 24  # crank angles over one pin pitch, the period of a drive without errors
 _SHARPNESS = 2500.0  # of the envelope, multiplied by the size of its values
 _FIRST_STEP, _LAST_STEP = 0.2, 1e-5  # steps of a search relative to the range
@@ -645,7 +646,7 @@ class Search:
         torque = tuple(load for load in loads_of(self.task, None, one.pair) if load != 0.0)
         study = Study(one.pair, self.tolerances, samples=self.task.robust.samples, seed=seed, torque=torque)
         check_study(study, self.task.drive, self.task.robust.tolerances)
-        angles = np.linspace(0.0, 2.0 * np.pi, _ANGLES, endpoint=False)
+        angles = np.linspace(0.0, 2.0 * np.pi, out_of_step(one.pair.pins, _ANGLES), endpoint=False)
 
         def figures(point: Array) -> list[float]:
             made = _with_form(surface_of(study, point), one.surface)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from cycloid_fmu.analysis import solve
+from cycloid_fmu.analysis.validity import out_of_step
 from cycloid_fmu.contact.transmission import Transmission
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry import CRANK_SPEED
@@ -25,7 +26,7 @@ from cycloid_fmu.surfaces.sampling import Tolerances
 from cycloid_fmu.surfaces.surface import surface_of_pair
 
 Array = NDArray[np.float64]
-_ANGLES = 90  # crank angles of every figure
+_ANGLES = 90  # crank angles of every figure, at least
 _DRIVES = 64  # sampled drives
 _ENDS = (0.05, 0.95)  # of the sampled drives
 _UNKNOWN = (math.nan, math.nan, math.nan)
@@ -67,7 +68,8 @@ class Figure(NamedTuple):
         """Return it as a table row."""
         unit, factor = self.shown[0] or self.unit, self.shown[1]
         known = [f"{value * factor:.3g}" if math.isfinite(value) else "" for value in self.values]
-        return [self.name, known[0] or "none", " … ".join(known[1:]) if all(known[1:]) else "", unit, self.basis]
+        is_wider = all(known[1:]) and {*known} != {known[0]}
+        return [self.name, known[0] or "none", " … ".join(known[1:]) if is_wider else "", unit, self.basis]
 
 
 def figures_of(
@@ -106,8 +108,8 @@ def figures_of(
     return found + _of_mass(pair, bodies), stresses
 
 
-def _turn() -> Array:
-    return np.linspace(0.0, 2.0 * np.pi, _ANGLES, endpoint=False)
+def _turn(pair: Pair) -> Array:
+    return np.linspace(0.0, 2.0 * np.pi, out_of_step(pair.pins, _ANGLES), endpoint=False)
 
 
 def _of_tolerances(pair: Pair, tolerances: Tolerances | None) -> list[Figure]:
@@ -116,7 +118,7 @@ def _of_tolerances(pair: Pair, tolerances: Tolerances | None) -> list[Figure]:
     torque = (pair.rated_load(),)
     samples = 1 if tolerances is None else _DRIVES
     stated = Tolerances() if tolerances is None else tolerances
-    study = tolerance.Study(pair, stated, samples=samples, seed=1, torque=torque, angles=_ANGLES)
+    study = tolerance.Study(pair, stated, samples=samples, seed=1, torque=torque, angles=_turn(pair).size)
     (drawn,) = tolerance.exact_figures(study, [surface_of_pair(pair)])
     sampled, basis = np.full((1, drawn.size), np.nan), "the mesh alone"
     if tolerances is not None:
@@ -146,7 +148,7 @@ def _over_modulus(pair: Pair) -> list[Transmission]:
     """Return the drive as drawn at its rated torque, and with the ends of the range of its discs' modulus."""
     value, load = pair.material.gear.value, np.array([pair.rated_load()])
     drives = [pair, *(_with_modulus(pair, modulus) for modulus in (value.youngs_modulus if value else ()))]
-    return [solve(DriveValue(one, surface_of_pair(one)), load, _turn(), with_play=False) for one in drives]
+    return [solve(DriveValue(one, surface_of_pair(one)), load, _turn(pair), with_play=False) for one in drives]
 
 
 def _of_material(pair: Pair, solved: Sequence[Transmission], crank_speed: float) -> list[Figure]:
@@ -179,7 +181,7 @@ def _of_material(pair: Pair, solved: Sequence[Transmission], crank_speed: float)
 def _of_friction(pair: Pair) -> list[Figure]:
     """Efficiency, starting and back-driving torque, over the range of the friction coefficients."""
     value = DriveValue(pair, surface_of_pair(pair))
-    found = friction.figures(value, [pair.rated_load()], _turn(), _SLOW)
+    found = friction.figures(value, [pair.rated_load()], _turn(pair), _SLOW)
     of = "range of the friction in the table"
 
     def ends(get: Callable[[Any], float]) -> tuple[float, float, float]:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from cycloid_fmu.analysis import solve
+from cycloid_fmu.analysis.validity import out_of_step
 from cycloid_fmu.contact.transmission import Transmission, UnbalancedError
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry import CRANK_SPEED, sizes
@@ -63,7 +64,7 @@ _MODIFICATION = 4.0  # range of the modification relative to the tolerance of a 
 _USUAL_CLEARANCE = 1.1  # isometric modification that a search ends with, relative to the tolerance of a position
 _YIELD = 0.95  # of drives of the process that must turn freely
 _SAMPLES, _JUDGED = 64, 128  # drives of each round of the search, and of those that decide
-_SEED, _ANGLES = 2, 90  # of these
+_SEED, _ANGLES = 2, 90  # of these; crank angles at least
 _STEP = 0.02  # step of the clearance relative to its range
 _LARGEST_WIDTH = 0.3  # of all discs together relative to the outer diameter
 _LEAST_WIDTH = 2e-3  # m
@@ -453,7 +454,14 @@ def _modified(pair: Pair, wish: Wish, tolerance_text: str, progress: Callable[[s
 
 def _free(pair: Pair, tolerances: Tolerances) -> float:
     """Return the share of sampled drives that turn without interference."""
-    study = Study(pair, tolerances, samples=_JUDGED, seed=_SEED, torque=(pair.rated_load(),), angles=_ANGLES)
+    study = Study(
+        pair,
+        tolerances,
+        samples=_JUDGED,
+        seed=_SEED,
+        torque=(pair.rated_load(),),
+        angles=out_of_step(pair.pins, _ANGLES),
+    )
     interference = [name for name, _ in study.columns].index("interference")
     surfaces = [surface_of(study, point) for point in points(study)]
     return float((exact_figures(study, surfaces)[:, interference] <= 0.0).mean())
@@ -779,7 +787,7 @@ def _three_digits(value: float, up: bool) -> float:
 
 def _at_rated_torque(pair: Pair) -> Transmission:
     """Return a drive at its rated torque over a crank turn."""
-    turn = np.linspace(0.0, 2.0 * np.pi, _ANGLES, endpoint=False)
+    turn = np.linspace(0.0, 2.0 * np.pi, out_of_step(pair.pins, _ANGLES), endpoint=False)
     return solve(DriveValue(pair, surface_of_pair(pair)), np.array([pair.rated_load()]), turn, with_play=False)
 
 

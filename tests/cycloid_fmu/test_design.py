@@ -237,15 +237,15 @@ ROW = '[[duty]]\ntorque = "1 N*m"\noutput_speed = "1 rpm"\nshare = 1.0'
         ({"goals": ["backlsh"]}, '"backlsh" can\'t be a goal; did you mean backlash?'),
         ({"goals": ["backlash", "backlash"]}, "both goals are the same"),
         ({"vary": {"offsett": ["-1 um", "1 um"]}}, "offsett can't be varied; did you mean offset?"),
-        ({"vary": {"offset": ["1 um", "-1 um"]}}, "[vary]: offset = ['1 um', '-1 um']: the first end must be below"),
+        ({"vary": {"offset": ["1 um", "-1 um"]}}, '[vary]: offset = ["1 um", "-1 um"]: the first end must be below'),
         ({"vary": {"offset": "1 um"}}, 'offset = "1 um": it must be two ends, such as ["-40 um", "0 um"]'),
-        ({"vary": {"offset": ["-1", "1 um"]}}, "offset = ['-1', '1 um']: write one number with a decimal point"),
+        ({"vary": {"offset": ["-1", "1 um"]}}, 'offset = ["-1", "1 um"]: write one number with a decimal point'),
         ({"vary": {}}, "vary must have at least 1 entry, not 0"),
         ({"goals": "backlash"}, 'goals = "backlash": it should be a list in square brackets'),
         ({"goals": ["backlash", "pin_radius", "offset"]}, "goals must have at most 2 entries, not 3"),
         (
             {"goals": ["bearing_life"]},
-            "goals = ['bearing_life']: bearing_life needs the pair's [supports] with a dynamic_capacity",
+            'goals = ["bearing_life"]: bearing_life needs the pair\'s [supports] with a dynamic_capacity',
         ),
         (
             {"row": f'[limits]\nbearing_life = "9 h"\n{ROW}'},
