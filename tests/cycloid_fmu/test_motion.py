@@ -8,9 +8,11 @@ import shutil
 import numpy as np
 import pytest
 from common import EXAMPLES
+from matplotlib.figure import Figure
 
 import cycloid_fmu as cy
-from cycloid_fmu.draw.drive_page import write_motion
+from cycloid_fmu.draw.drive_page import page_data, write_motion
+from cycloid_fmu.draw.drive_picture import draw_error
 from cycloid_fmu.geometry.profile import equal_arc_parameters, flank_points
 from cycloid_fmu.motion import PROFILE
 
@@ -124,6 +126,19 @@ def test_forces_and_errors_are_those_of_the_sweep():
     assert motion.curve[0, :3] == pytest.approx(
         drive.analyze([150.0], crank_angle=motion.curve_angle[:3]).transmission_error.values[0], abs=1e-12
     )
+
+
+@pytest.mark.parametrize("name", PAIRS)
+def test_stated_transmission_error_is_that_of_the_analysis(name):
+    """Mean and peak to peak of the picture and of the page, as the analysis states them."""
+    drive = cy.Drive(PAIRS[name])
+    error = drive.analyze([150.0]).transmission_error.values[0] * cy.ARCSEC
+    motion = drive.motion(150.0, 0.0)
+    data = page_data(motion)
+    assert (data["mean"][0], data["peak_to_peak"][0]) == pytest.approx((error.mean(), np.ptp(error)), abs=6e-5)
+    axis = Figure().subplots()
+    draw_error(axis, motion)
+    assert axis.get_title() == f"transmission error: mean {error.mean():.2f}″, peak to peak {np.ptp(error):.2f}″"
 
 
 def test_without_load_nothing_presses():
