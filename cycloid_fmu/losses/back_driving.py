@@ -134,6 +134,7 @@ def sweep_back_driving(
     coordinates: Array,
     torques: Array,
     solved: Array,
+    start: Array,
 ) -> None:
     """Write the torque at every crank angle as `back_driving` returns it.
 
@@ -147,10 +148,11 @@ def sweep_back_driving(
         Overwritten, shape (angles,), N·m.
     solved
         Overwritten: the unknowns and, last, the torque, shape (angles, unknowns + 1).
+    start
+        Work array, shape (unknowns + 1,).
     """
     contacts, q = contact.contact_rows(drive.problem), drive.work.coordinates
     n = q.size
-    start = np.zeros(n + 1)
     for i in range(crank_angles.size):
         torques[i] = math.nan
         if turns[i] and i > 0 and torques[i - 1] > 0.0 and follow_neighbours(crank_angles, solved, i, start):
@@ -201,8 +203,9 @@ def back_driving(drive: DriveValue, largest: float, crank_angle: Array, *, worke
         unknowns, these = coordinates.shape[1], slice(start, last)
         slope, loss = slope_of(unknowns), np.zeros(len(PARTS))
         resting = Resting(with_own_discs(mesh), assembly, rubbing, held, largest, work_of(assembly), slope, loss)
-        solved = np.empty((last - start, unknowns + 1))
-        sweep_back_driving(resting, angles[these], turns[these], coordinates[these], torques[these], solved)
+        solved = np.empty((last - start + 1, unknowns + 1))
+        of_these = (turns[these], coordinates[these], torques[these])
+        sweep_back_driving(resting, angles[these], *of_these, solved[:-1], solved[-1])
 
     solve_in_parts(part, angles.size, PART, workers, lambda _: None)
     return torques

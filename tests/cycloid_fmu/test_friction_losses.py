@@ -556,7 +556,7 @@ def test_the_friction_of_wear_is_the_drive_s():
 def test_a_tolerance_study_judges_friction():
     """Its figures are those of each drawn drive alone; efficiency and self-locking are kept above their limits."""
     from cycloid_fmu.studies.limits import Requirements
-    from cycloid_fmu.studies.tolerance import PLAY_STEP, surface_of
+    from cycloid_fmu.studies.tolerance import surface_of
     from cycloid_fmu.studies.yields import judged
 
     duty = [{"torque": "181 N*m", "output_speed": "15 rpm", "share": 1.0}]
@@ -570,8 +570,8 @@ def test_a_tolerance_study_judges_friction():
         drawn = cy.Drive(made.pair, surface_of(result.study, point))
         alone = drawn.losses(181.0, 39 * 15.0 * math.pi / 30.0, angles=40, workers=1)
         assert result.figure("efficiency")[k] == pytest.approx(alone.cases[0].efficiency, abs=1e-9)
-        assert result.figure("starting_torque")[k] == pytest.approx(alone.starting[0.0][::PLAY_STEP].max(), rel=1e-6)
-        assert result.figure("back_driving_torque")[k] == pytest.approx(alone.back_driving[::PLAY_STEP].max(), rel=1e-3)
+        assert result.figure("starting_torque")[k] == pytest.approx(alone.starting[0.0].max(), rel=1e-6)
+        assert result.figure("back_driving_torque")[k] == pytest.approx(alone.back_driving.max(), rel=1e-6)
     worst = int(result.figure("efficiency").argmin())
     assert verdicts["efficiency"].where["sample"] == worst
     assert verdicts["efficiency"].value == pytest.approx(result.figure("efficiency")[worst], abs=1e-12)
