@@ -103,7 +103,7 @@ double losses_ripple(const struct drive *drive, double reduced, double load, dou
     const struct ripple *ripple = drive->ripple;
     const int flank = load < 0.0, driven = load * direction < 0.0;
     double crank, fast, much, result = 0.0;
-    uint32_t i, j, k;
+    uint32_t i, j, k, above;
     if (ripple == NULL) {
         return 0.0;
     }
@@ -116,7 +116,6 @@ double losses_ripple(const struct drive *drive, double reduced, double load, dou
         int of;
         for (of = 0; of < 2; of++) {
             double at_speed[2]; /* the slower one, the faster one */
-            int above;
             for (above = 0; above < 2; above++) {
                 const double low = ripple->part[i - 1 + above][flank][driven][j - 1][k][of];
                 const double high = ripple->part[i - 1 + above][flank][driven][j][k][of];
