@@ -17,6 +17,7 @@ from cycloid_fmu import contact
 from cycloid_fmu.analysis import solve
 from cycloid_fmu.contact.transmission import Transmission, mesh_of
 from cycloid_fmu.drive_value import DriveValue
+from cycloid_fmu.geometry import ANGLES
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.geometry.profile import equal_arc_parameters, flank_curvature, flank_normals, flank_points
 from cycloid_fmu.supports.transmission import OnBearings, problem_of
@@ -27,7 +28,7 @@ Indices = NDArray[np.int64]
 Points = NDArray[np.complex128]
 PROFILE = 60  # points of each tooth's outline: of the 39/40 pair chords are within 5 µm of the flank
 LARGEST_FACTOR = 1000.0
-_EACH_PITCH = 96  # the peak to peak of the 39/40 example, with its sharp peaks, is then right to 0.3 %
+_EACH_PITCH = 48
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,10 @@ class Motion:
     transmission_error
         Transmission error, shape (torques, angles), rad.
     curve_angle, curve
-        Transmission error over a whole crank turn, shapes (points,) and (torques, points), rad.
+        Transmission error over a whole crank turn as it is drawn, shapes (points,) and (torques, points), rad.
+    swept
+        Transmission error at `ANGLES` crank angles evenly over a turn, shape (torques, angles), rad: its mean and peak
+        to peak are those of an analysis. They are not those of `curve`, which may miss a peak in every pitch alike.
     exaggeration
         Enlargement of the gaps between discs and pins in pictures, dimensionless.
     unmodified, drawn, normal
@@ -78,6 +82,7 @@ class Motion:
     transmission_error: Array
     curve_angle: Array
     curve: Array
+    swept: Array
     exaggeration: float
     unmodified: Points
     drawn: Points
@@ -191,7 +196,7 @@ def motion_of(
     exaggeration
         Enlargement of the gaps; None for the largest round number for which all of them fit.
     with_curve
-        Whether to solve the transmission error over a crank turn as well; otherwise `curve` is empty.
+        Whether to solve the transmission error over a crank turn as well; otherwise `curve` and `swept` are empty.
     progress
         Called with the number of crank angles (times loads) that were just finished.
 
@@ -204,7 +209,8 @@ def motion_of(
     loads, theta = np.array(torque, dtype=float, ndmin=1), np.array(crank_angle, dtype=float, ndmin=1)
     slices = drive.slices
     turn = mesh_angles(pair.pins) if with_curve else np.zeros(0)
-    curve = solve(drive, loads, turn, slices, with_play=False).transmission_error
+    evenly = np.linspace(0.0, 2.0 * np.pi, ANGLES if with_curve else 0, endpoint=False)
+    curve, swept = (solve(drive, loads, each, slices, with_play=False).transmission_error for each in (turn, evenly))
     found = solve(drive, loads, theta, slices, with_play=False)
     problem = (mesh_of if pair.supports is None else problem_of)(drive, slices)
     warm = pair.at_temperature
@@ -232,6 +238,7 @@ def motion_of(
         x,
         turn,
         curve,
+        swept,
         1.0,
         *profile,
         centre,

@@ -25,6 +25,7 @@ from cycloid_fmu.edge.quantities import EXAMPLES
 from cycloid_fmu.geometry import ANGLES
 from cycloid_fmu.geometry.pair import FORMAT, LARGEST_PRESSURE, Modification, Pair, pair_of_tables
 from cycloid_fmu.losses import figures as losses
+from cycloid_fmu.losses.back_driving import back_driving
 from cycloid_fmu.losses.solver import solve as rub
 from cycloid_fmu.motion import Motion, mesh_angles, motion_of
 from cycloid_fmu.studies.limits import (
@@ -430,6 +431,6 @@ def _figures_of_friction(pair: Pair, torque: float) -> dict[str, str]:
     starting, largest = losses.starting(drive, [0.0], turn)[0.0].max(), pair.rated_torque or abs(torque)
     found["starting torque"] = "jams" if np.isnan(starting) else f"{starting:.4g} N·m"
     if largest > 0.0:
-        back = losses.back_driving(drive, largest, turn).max()
+        back = back_driving(drive, largest, turn).max()
         found["back-driving torque"] = f"none up to {largest:g} N·m" if np.isnan(back) else f"{back:.4g} N·m"
     return found

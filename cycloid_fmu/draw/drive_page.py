@@ -45,8 +45,8 @@ def page_data(motion: Motion, load: int = 0, angle: int = 0) -> dict[str, Any]:
     """Return the data of the page in mm, rad, N, MPa and arcsec, gaps in µm; `load` and `angle` are shown first."""
     pair = motion.pair
     nearest = motion.gap.min(axis=4) * 1e6
-    curve = motion.curve * ARCSEC
-    mean = curve[:, :-1].mean(axis=1)
+    curve, swept = motion.curve * ARCSEC, motion.swept * ARCSEC
+    mean = swept.mean(axis=1)
     largest = float(motion.force.max())
     normal = (tooth_turns(pair)[:, None] * motion.normal).ravel()
     fixed = pair.output == "gear"  # the pins
@@ -88,6 +88,7 @@ def page_data(motion: Motion, load: int = 0, angle: int = 0) -> dict[str, Any]:
         "holders": table([_circles(motion, *a) for a in at]),
         "curve": (curve - mean[:, None]).round(4).tolist(),
         "mean": mean.round(4).tolist(),
+        "peak_to_peak": np.ptp(swept, axis=1).round(4).tolist(),
         "longest": drive_picture.LONGEST_ARROW * pair.pin_circle_radius * 1e3,
         "largest_force": largest,
         "scale_force": round_number(largest) if largest > 0.0 else 0.0,

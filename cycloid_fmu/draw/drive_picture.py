@@ -221,14 +221,15 @@ def _draw_scales(axis: Axes, motion: Motion, load: int, angle: int, rim: float) 
 def draw_error(axis: Axes, motion: Motion, load: int = 0, angle: int = 0) -> None:
     """Draw the transmission error about its mean over a crank turn, and the crank's position."""
     curve, turn = motion.curve[load] * ARCSEC, np.degrees(motion.curve_angle)
-    mean = curve[:-1].mean()
+    swept = motion.swept[load] * ARCSEC
+    mean = swept.mean()
     axis.plot(turn, curve - mean, lw=0.9)
     now = math.degrees(motion.crank_angle[angle] % (2.0 * np.pi))
     axis.plot([now], [motion.transmission_error[load, angle] * ARCSEC - mean], "o", color="#bf1f2e", ms=5)
     at_least(axis, 0.01)
     axis.set(xlabel="crank angle [°]", ylabel="TE - mean [arcsec]", xlim=(0.0, 360.0))
     axis.set_xticks(np.arange(0, 361, 90))
-    axis.set_title(f"transmission error: mean {mean:.2f}″, peak to peak {np.ptp(curve):.2f}″", fontsize=9)
+    axis.set_title(f"transmission error: mean {mean:.2f}″, peak to peak {np.ptp(swept):.2f}″", fontsize=9)
 
 
 class ToothCurve(NamedTuple):

@@ -337,7 +337,10 @@ def _parts(model: _Model, rows: tuple[LossRow, ...], orders: Array, speed: float
 
 
 def _ripple(drive: DriveValue, rows: tuple[LossRow, ...]) -> LossRipple | None:
-    """Return the change of the losses over the crank angle at the loads of `SHARES`, with its largest orders."""
+    """Return the change of the losses over the crank angle, with its largest orders.
+
+    It is none without a load, and solved at those of `SHARES`.
+    """
     candidates, ends = _candidate_orders(drive), np.array([SHARES[0], SHARES[-1]])
     wide = _Model(drive, _scattered_angles(drive, _ANGLES_OF_AN_ORDER * candidates.size))
     sizes = np.hypot(*np.moveaxis(_parts(wide, rows, candidates, _RIPPLE_SPEED, ends), -1, 0))
@@ -361,8 +364,8 @@ def _ripple(drive: DriveValue, rows: tuple[LossRow, ...]) -> LossRipple | None:
     return LossRipple(
         orders=tuple(orders.tolist()),
         speeds=tuple(by_speed),
-        loads=tuple(teeth.tolist()),
-        parts=np.array(list(by_speed.values())).tolist(),
+        loads=(0.0, *teeth.tolist()),
+        parts=np.pad(list(by_speed.values()), [(0, 0)] * 3 + [(1, 0), (0, 0), (0, 0)]).tolist(),
     )
 
 

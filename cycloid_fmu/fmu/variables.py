@@ -46,8 +46,7 @@ class LossRipple(Config):
         |w| of `flange_a`, rad/s, at which it is stated, ascending from 0; times ν(T)/ν_ref where there is a lubricant.
         It is linear between them, and as at the last one above it.
     loads
-        Torques of the teeth at `flange_a` at which it is stated, N·m, ascending; it is linear from none without load to
-        the first and between them.
+        Torques of the teeth at `flange_a` at which it is stated, N·m, ascending from 0; it is linear between them.
     parts
         Cosine and sine part, N·m, shape (speeds, 2, 2, loads, orders, 2): by the sign of that torque, positive first,
         and by which flange drives, `flange_a` first.
@@ -66,10 +65,8 @@ class LossRipple(Config):
         of_speed = np.array(self.parts)[:, int(load < 0.0), int(not drives)]
         weights = [np.interp(speed, self.speeds, of_node) for of_node in np.eye(len(self.speeds))]
         parts = np.tensordot(weights, of_speed, 1)
-        from_none = np.concatenate([np.zeros((1, *parts.shape[1:])), parts])
-        loads = (0.0, *self.loads)
         cosine, sine = (
-            [np.interp(abs(load), loads, of_order) for of_order in part.T] for part in np.moveaxis(from_none, 2, 0)
+            [np.interp(abs(load), self.loads, of_order) for of_order in part.T] for part in np.moveaxis(parts, 2, 0)
         )
         turn = np.multiply.outer(crank_angle, self.orders)
         torque: NDArray[np.float64] = np.cos(turn) @ cosine + np.sin(turn) @ sine

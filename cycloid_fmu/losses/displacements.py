@@ -15,16 +15,14 @@ from cycloid_fmu.contact import Array, Problem, Rows, compiled
 from cycloid_fmu.contact.local_frame import crank_motion, force_fall, gap_gradient, projection
 from cycloid_fmu.contact.sensitivity import PIN_GENERATING, add_by_pins_and_flanks
 from cycloid_fmu.losses.rubbing import (
-    FLANK_LAW,
     Acting,
     Rubbing,
     Slope,
-    assemble_rubbing,
-    flank_speed,
+    assemble_at,
+    flank_friction,
     joint_friction,
     joint_speed,
     rubbing_stiffness,
-    sliding_friction,
     write_sliding,
 )
 from cycloid_fmu.losses.sweeps import add_flank_coefficients, add_joint_coefficients
@@ -67,16 +65,14 @@ def _add_flanks(
     problem: Problem, assembly: Assembly, crank_angle: float, contacts: Rows, work: Work, rubbing: Rubbing, out: Array
 ) -> float:
     """Subtract λ·∂r/∂p of the flanks' friction for the displacements of pins and flanks; return λ·∂r/∂θ."""
-    row, law, turning = work.step, rubbing.laws[FLANK_LAW], 0.0
+    row, turning = work.step, 0.0
     for number in range(contacts.shape[0]):
         contact_ = contacts[number]
         if contact_.force <= 0.0:
             continue
         local = contact.local_frame(problem, crank_angle, work.coordinates[0], contacts, number)
-        radius = problem.pin_radius[local.pin]
-        distance = contact_.gap + radius
-        speed = flank_speed(problem, local, distance)
-        f = sliding_friction(law, rubbing.direction, radius, speed, contact_.force)
+        distance = contact_.gap + problem.pin_radius[local.pin]
+        f = flank_friction(problem, rubbing, local, contact_)
         if assembly.elastic is not None:
             f = of_ports(f)
         along, first = gap_gradient(local), FIRST_DISC + 3 * local.disc
@@ -198,11 +194,8 @@ def sweep_motion_sensitivities(
     """
     contacts = contact.contact_rows(problem)
     for i in range(crank_angles.size):
-        for k in range(work.coordinates.size):
-            work.coordinates[k] = coordinates[i, k]
-        work.moved[0] = math.inf
-        pull = Load(torques[i], 0.0, 0.0, CENTRING)
-        assemble_rubbing(problem, assembly, crank_angles[i], pull, contacts, work, (rubbing, slope, loss))
+        pull, more = Load(torques[i], 0.0, 0.0, CENTRING), (rubbing, slope, loss)
+        assemble_at(problem, assembly, crank_angles[i], pull, contacts, work, more, coordinates[i])
         for k in range(work.step.size):
             work.step[k] = 1.0 if k == 0 else 0.0
         if not solve_transposed(problem, assembly, work, work.step, 0.0):

@@ -12,14 +12,12 @@ from numpy.typing import NDArray
 
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.losses import PARTS
+from cycloid_fmu.losses.back_driving import back_driving
 from cycloid_fmu.losses.solver import Rubbed, losses_of, solve
 
 Array = NDArray[np.float64]
 JAMMED = 0.01
 """Efficiency of a driven drive below which it jams: the friction's moment on the discs reaches the normal forces'."""
-_LOADS = 1.8 ** -np.arange(17)  # of the rated torque, at which the back-driving torque is bracketed
-_STEPS = 40
-_CLOSE = 1e-5  # of the load
 
 
 @dataclass(frozen=True)
@@ -167,48 +165,6 @@ def starting(drive: DriveValue, loads: Sequence[float], crank_angle: Array, **op
     """Return the torque of the input (N·m) that starts a drive from rest at every angle, by load (N·m, not below 0)."""
     at_rest = solve(drive, np.array(loads), crank_angle, 1, 0.0, **options)
     return dict(zip(loads, np.abs(at_rest.input_torque), strict=True))
-
-
-def back_driving(drive: DriveValue, largest: float, crank_angle: Array, **options: Any) -> Array:
-    """Return the torque on the output that starts to turn the drive backwards at every angle, shape (angles,), N·m.
-
-    It is the outermost one up to `largest` (N·m) at which the torque of the input passes zero, with friction at rest;
-    0 where the drive turns at any torque, NaN where it turns at none.
-    """
-
-    def work(torque: Array, near: Array | None) -> tuple[Array, Array]:
-        """Work that the input gives off; a drive that jams gives off none."""
-        at_rest = solve(drive, torque[None], crank_angle, -1, 0.0, near=near, **options)
-        given = at_rest.direction * at_rest.input_rate * at_rest.input_torque[0]
-        return np.where(np.isnan(given), -1.0, -given), np.nan_to_num(at_rest.coordinates)
-
-    angles = np.asarray(crank_angle)
-    outer, inner = np.full(angles.size, largest), np.zeros(angles.size)
-    at_outer, coordinates = work(outer, None)
-    at_inner, bracketed = at_outer.copy(), np.zeros(angles.size, dtype=bool)
-    for share in _LOADS[1:]:
-        torque = np.where(bracketed, outer, share * largest)
-        now, coordinates = work(torque, coordinates)
-        passed = ~bracketed & ((now > 0.0) != (at_outer > 0.0))
-        inner, at_inner = np.where(passed, torque, inner), np.where(passed, now, at_inner)
-        bracketed |= passed
-        outer, at_outer = np.where(bracketed, outer, torque), np.where(bracketed, at_outer, now)
-        if bracketed.all():
-            break
-    if bracketed.any():
-        for _ in range(_STEPS):
-            # Illinois: a bisection where the straight line would not halve the bracket from both sides.
-            line = inner - at_inner * (outer - inner) / np.where(at_outer != at_inner, at_outer - at_inner, 1.0)
-            torque = np.where(bracketed, line, outer)
-            now, coordinates = work(torque, coordinates)
-            same = (now > 0.0) == (at_outer > 0.0)
-            at_inner = np.where(same, 0.5 * at_inner, now)
-            at_outer = np.where(same, now, 0.5 * at_outer)
-            outer, inner = np.where(same, torque, outer), np.where(same, inner, torque)
-            if not (np.abs(now[bracketed]) > _CLOSE * largest / drive.pair.gear_teeth).any():
-                break
-        return np.where(bracketed, torque, np.where(at_outer > 0.0, 0.0, np.nan))
-    return np.where(at_outer > 0.0, 0.0, np.nan)
 
 
 class Breakaway(NamedTuple):

@@ -130,7 +130,7 @@ def bearing_friction(law: np.record, direction: float, speed: float, force: floa
 
 
 @compiled
-def flank_speed(problem: Problem, local: contact.LocalFrame, distance: float) -> float:
+def _flank_speed(problem: Problem, local: contact.LocalFrame, distance: float) -> float:
     """Sliding of a flank on its pin along ẑ × n for each radian of the crank, m.
 
     Parameters
@@ -144,6 +144,14 @@ def flank_speed(problem: Problem, local: contact.LocalFrame, distance: float) ->
     lever_x = problem.pin_x[local.pin] - pitch * local.crank_x
     lever_y = problem.pin_y[local.pin] - pitch * local.crank_y
     return float(-(lever_x * local.normal_x + lever_y * local.normal_y - distance) / problem.teeth)
+
+
+@compiled
+def flank_friction(problem: Problem, rubbing: Rubbing, local: contact.LocalFrame, flank: np.record) -> Acting:
+    """Friction of a flank on its pin, of a row of contacts."""
+    radius = problem.pin_radius[local.pin]
+    speed = _flank_speed(problem, local, flank.gap + radius)
+    return sliding_friction(rubbing.laws[FLANK_LAW], rubbing.direction, radius, speed, flank.force)
 
 
 @compiled
@@ -174,17 +182,14 @@ def _add_flanks(
     loss: Array,
 ) -> None:
     """Add the friction of flanks on pins to the balance, and their losses."""
-    residual, jacobian, law = work.residual, work.jacobian, rubbing.laws[FLANK_LAW]
+    residual, jacobian = work.residual, work.jacobian
     for row in range(contacts.shape[0]):
         contact_ = contacts[row]
-        force = contact_.force
-        if force <= 0.0:
+        if contact_.force <= 0.0:
             continue
         local = contact.local_frame(problem, crank_angle, work.coordinates[0], contacts, row)
-        radius = problem.pin_radius[local.pin]
-        distance = contact_.gap + radius
-        speed = flank_speed(problem, local, distance)
-        f = sliding_friction(law, rubbing.direction, radius, speed, force)
+        distance = contact_.gap + problem.pin_radius[local.pin]
+        f = flank_friction(problem, rubbing, local, contact_)
         loss[FLANK + (TURNING if f.turns else SLIDING)] += abs(f.amplitude * f.speed)
         along = gap_gradient(local)
         fall, (slide_u, slide_v, slide_y) = force_fall(contact_, local, along), along.slide
@@ -368,6 +373,24 @@ def assemble_rubbing(
         for i in range(work.residual.size):
             work.jacobian[0, i] += taken * slope.crank_torque[i]
     return torque
+
+
+@compiled
+def assemble_at(
+    problem: Problem,
+    assembly: Assembly,
+    crank_angle: float,
+    pull: Load,
+    contacts: Rows,
+    work: Work,
+    more: tuple[Rubbing, Slope, Array],
+    coordinates: Array,
+) -> float:
+    """Write the balance with friction at a given solution, as `assemble_rubbing` does; return the crank's torque."""
+    for k in range(work.coordinates.size):
+        work.coordinates[k] = coordinates[k]
+    work.moved[0] = math.inf
+    return float(assemble_rubbing(problem, assembly, crank_angle, pull, contacts, work, more))
 
 
 settle_rubbing = settling(assemble_rubbing)

@@ -32,7 +32,7 @@ from cycloid_fmu.supports.transmission import (
 )
 
 Array = NDArray[np.float64]
-_PART = 64  # crank angles that one thread solves at a time
+PART = 64  # crank angles that one thread solves at a time
 _RPM = 30.0 / math.pi
 
 
@@ -129,6 +129,18 @@ def sun_rate(drive: DriveValue) -> float:
         return 1.0
     share = 1.0 / drive.pair.gear_teeth
     return -((1.0 + share) / drive.first_stage.sun_share + share)
+
+
+def input_held(drive: DriveValue) -> float:
+    """Return what holds the cranks of a drive at rest, which its input's drag is, behind a first stage: N·m, ≥ 0.
+
+    A drive turns backwards where the cranks give off more.
+    """
+    losses, first = losses_of(drive), drive.first_stage
+    drag = losses.input_drag.torque(0.0, losses.thinning)
+    if first is None:
+        return drag
+    return drag / (first.sun_share * (1.0 - rubbing_of(drive, -1, 0.0).loss))
 
 
 def rubbing_of(drive: DriveValue, direction: int, crank_speed: float) -> Rubbing:
@@ -255,7 +267,7 @@ def solve(
                 near is not None,
             )
 
-    solve_in_parts(part, angles.size, _PART, workers, lambda size: progress(size * len(at_angles)))
+    solve_in_parts(part, angles.size, PART, workers, lambda size: progress(size * len(at_angles)))
     jammed = solutions.steps == 0
     if jammed.any():
         # Only a torque that the drive carries without friction can jam it.

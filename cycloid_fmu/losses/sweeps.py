@@ -20,12 +20,12 @@ from cycloid_fmu.losses.rubbing import (
     Acting,
     Rubbing,
     Slope,
+    assemble_at,
     assemble_rubbing,
-    flank_speed,
+    flank_friction,
     joint_friction,
     joint_speed,
     settle_rubbing,
-    sliding_friction,
     through_first_stage,
     write_sliding,
 )
@@ -122,11 +122,10 @@ def add_flank_coefficients(
             continue
         local = contact.local_frame(problem, crank_angle, work.coordinates[0], contacts, row)
         radius = problem.pin_radius[local.pin]
-        distance = contacts[row].gap + radius
-        f = sliding_friction(law, rubbing.direction, radius, flank_speed(problem, local, distance), force)
+        f = flank_friction(problem, rubbing, local, contacts[row])
         first = FIRST_DISC + 3 * local.disc
         weights = (row_[first], row_[first + 1], row_[first + 2])
-        sliding = projection(weights, gap_gradient(local).slide) + distance * row_[first + 2]
+        sliding = projection(weights, gap_gradient(local).slide) + (contacts[row].gap + radius) * row_[first + 2]
         _by_coefficients(law, f, force, False, sliding, radius, out[FLANK_LAW])
 
 
@@ -191,11 +190,8 @@ def sweep_rubbing_sensitivities(
     contacts = contact.contact_rows(problem)
     n = work.coordinates.size
     for i in range(crank_angles.size):
-        for k in range(n):
-            work.coordinates[k] = coordinates[i, k]
-        work.moved[0] = math.inf
-        pull = Load(torques[i], 0.0, 0.0, CENTRING)
-        torque = assemble_rubbing(problem, assembly, crank_angles[i], pull, contacts, work, (rubbing, slope, loss))
+        pull, more = Load(torques[i], 0.0, 0.0, CENTRING), (rubbing, slope, loss)
+        torque = assemble_at(problem, assembly, crank_angles[i], pull, contacts, work, more, coordinates[i])
         # λ (∂r/∂q) = ∂τ/∂q.
         for k in range(n):
             work.step[k] = slope.crank_torque[k]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from cycloid_fmu import edge
 
 Array = NDArray[np.float64]
-FORMAT = "cycloid-study-checkpoint/3"
+FORMAT = "cycloid-study-checkpoint/4"
 _LONG = 60  # characters of a value that a message does not show
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from cycloid_fmu.contact.transmission import Transmission
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.losses import figures
+from cycloid_fmu.losses.back_driving import back_driving
 from cycloid_fmu.losses.flanks import flanks_rub
 from cycloid_fmu.losses.solver import solve
 from cycloid_fmu.wear.friction import Sliding, sliding_of
@@ -104,7 +105,7 @@ def friction_figures(
         start = figures.starting(drive, [0.0], crank_angle, workers=workers)[0.0]
     largest = drive.pair.rated_torque or max(map(abs, torque), default=0.0)
     if {"back_driving_torque", "self_locking"} & set(names):
-        back = figures.back_driving(drive, largest, crank_angle, workers=workers)
+        back = back_driving(drive, largest, crank_angle, workers=workers)
     return FrictionFigures(
         np.nan_to_num(np.array(efficiency), nan=0.0),
         np.where(np.isnan(start), np.inf, start),

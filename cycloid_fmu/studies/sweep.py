@@ -20,6 +20,7 @@ from cycloid_fmu.analysis import series_compliance, solve
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry import ANGLES
 from cycloid_fmu.losses import figures as rubbing
+from cycloid_fmu.losses.back_driving import back_driving
 from cycloid_fmu.losses.solver import solve as rub
 from cycloid_fmu.studies.checkpoint import Checkpoint, checkpoint_of
 from cycloid_fmu.studies.limits import whole_stiffness
@@ -214,7 +215,7 @@ def _add_friction(sweep: Sweep, drive: DriveValue, angle: Array, found: dict[str
         found["efficiency"][k], found["back_driving_efficiency"][k] = by_mode["driving"], by_mode["back-driving"]
     found["starting_torque"] = float(rubbing.starting(drive, [0.0], angle)[0].max())
     largest = drive.pair.rated_torque or float(np.abs(torque).max())
-    found["back_driving_torque"] = float(rubbing.back_driving(drive, largest, angle).max())
+    found["back_driving_torque"] = float(back_driving(drive, largest, angle).max())
 
 
 def _task(sweep: Sweep, numbers: Numbers) -> Solved:

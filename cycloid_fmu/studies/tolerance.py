@@ -46,7 +46,6 @@ Design = Literal["sobol", "latin-hypercube", "saltelli"]
 DESIGNS: tuple[Design, ...] = ("sobol", "latin-hypercube", "saltelli")
 FORMAT = "cycloid-tolerance-study/1"
 TOGETHER = 8 * LANES  # drives of a task on a cluster, where a task costs as much as several drives
-PLAY_STEP = 10  # play and lost motion, which cost most and vary slowly, are taken at each tenth crank angle
 FORM = Elements(profile=50, width=5, angle=25)  # of sampled form deviations
 PER_TORQUE = ("angular_transmission_error", "mean_transmission_error", "max_contact_pressure")
 FIGURES = {
@@ -257,18 +256,13 @@ def loaded_figures(found: Transmission) -> dict[str, Array]:
 
 
 def free_figures(drive: DriveValue, angles: Array, series: float) -> dict[str, float]:
-    """Return the figures of play and lost motion, by their names in `FIGURES`, at one of `PLAY_STEP` angles (rad).
+    """Return the figures of play and lost motion, by their names in `FIGURES`, at crank angles (rad).
 
     There is no lost motion without a rated torque; a compliance in series with contacts and bearings, rad/(N·m), adds
     to it.
     """
     pair = drive.pair
-    free = solve(
-        drive,
-        pair.lost_motion_loads,
-        angles[::PLAY_STEP],
-        with_stiffness=False,
-    )
+    free = solve(drive, pair.lost_motion_loads, angles, with_stiffness=False)
     backlash = np.where(np.isnan(free.backlash), 0.0, free.backlash)
     found = {"mean_backlash": backlash.mean(), "backlash": backlash.max(), "interference": free.interference.max()}
     if pair.lost_motion_loads:
@@ -325,12 +319,12 @@ def _figures_alone(study: Study, surface: ErrorSurface) -> Array:
 
 
 def friction_of(study: Study, surface: ErrorSurface) -> FrictionFigures:
-    """Return the figures of friction of one drive that have a limit; those from rest at one of `PLAY_STEP` angles."""
+    """Return the figures of friction of one drive that have a limit."""
     drive, angles, asked = study.drive_of(surface), crank_angles(study), {*study.friction}
     loads, speeds = ([getattr(row, name) for row in study.driven] for name in ("torque", "output_speed"))
     turning = [abs(study.pair.ratio) * speed for speed in speeds]
     running = friction_figures(drive, asked & {"efficiency"}, loads, turning, angles)
-    at_rest = friction_figures(drive, asked - {"efficiency"}, study.torque, [], angles[::PLAY_STEP])
+    at_rest = friction_figures(drive, asked - {"efficiency"}, study.torque, [], angles)
     return at_rest._replace(efficiency=running.efficiency)
 
 
@@ -346,8 +340,7 @@ def _worst_of(friction: FrictionFigures) -> dict[str, float]:
 
 def _loads(pair: Pair, torque: Sequence[float], angles: Array) -> list[tuple[float, Array]]:
     """Return a study's loads and crank angles: first those under load, then ± lost motion, then the play."""
-    low_loads = (*pair.lost_motion_loads, 0.0)
-    return [*((t, angles) for t in torque), *((t, angles[::PLAY_STEP].copy()) for t in low_loads)]
+    return [(t, angles) for t in (*torque, *pair.lost_motion_loads, 0.0)]
 
 
 def _slices(study: Study) -> int:

@@ -17,7 +17,6 @@ from cycloid_fmu.studies.checkpoint import Checkpoint, checkpoint_of, reserved
 from cycloid_fmu.studies.friction import FIGURES
 from cycloid_fmu.studies.tolerance import (
     PER_TORQUE,
-    PLAY_STEP,
     Array,
     Result,
     Study,
@@ -126,20 +125,17 @@ def judged(result: Result) -> list[judging.Verdict]:
 
     The value is that of the worst drive, `sample` its number, and the place is found by solving it once more.
     """
-    study, found = result.study, []
+    study, angle, found = result.study, crank_angles(result.study), []
     for name, limit in study.tolerances.limits.stated().items():
         values = result.values[:, [n == name for n, _ in study.columns]].max(axis=1)
         row = int(values.argmin() if judging.is_lower(name, limit) else values.argmax())
         surface = surface_of(study, result.point[row])
         only = judging.Limits().replace(**{name: limit})
         if name in study.friction:
-            angle = crank_angles(study)[::PLAY_STEP]
             (worst,) = judging.judge_friction(only, study.driven, angle, friction_of(study, surface))
             found.append(dataclasses.replace(worst, where={"sample": int(result.sample[row]), **worst.where}))
             continue
-        loaded = name in PER_TORQUE
-        angle = crank_angles(study)[:: 1 if loaded else PLAY_STEP]
-        loads = study.torque if loaded else study.pair.lost_motion_loads
+        loads = study.torque if name in PER_TORQUE else study.pair.lost_motion_loads
         again = solve(DriveValue(study.pair, surface, study.first_stage), loads, angle, with_stiffness=False)
         data = {**vars(again), "backlash": again.backlash}
         if name == "lost_motion":

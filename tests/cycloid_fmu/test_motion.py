@@ -8,9 +8,11 @@ import shutil
 import numpy as np
 import pytest
 from common import EXAMPLES
+from matplotlib.figure import Figure
 
 import cycloid_fmu as cy
-from cycloid_fmu.draw.drive_page import write_motion
+from cycloid_fmu.draw.drive_page import page_data, write_motion
+from cycloid_fmu.draw.drive_picture import draw_error
 from cycloid_fmu.geometry.profile import equal_arc_parameters, flank_points
 from cycloid_fmu.motion import PROFILE
 
@@ -126,10 +128,17 @@ def test_forces_and_errors_are_those_of_the_sweep():
     )
 
 
-def test_the_peak_to_peak_over_the_curve_is_that_of_a_finer_sweep():
-    drive = cy.read_drive(EXAMPLES / "drive-39-40.toml")
-    fine = drive.analyze("181 N*m", angles=9973).transmission_error.values
-    assert np.ptp(drive.motion("181 N*m", 0.0).curve) == pytest.approx(np.ptp(fine), rel=0.01)
+@pytest.mark.parametrize("name", PAIRS)
+def test_stated_transmission_error_is_that_of_the_analysis(name):
+    """Mean and peak to peak of the picture and of the page, as the analysis states them."""
+    drive = cy.Drive(PAIRS[name])
+    error = drive.analyze([150.0]).transmission_error.values[0] * cy.ARCSEC
+    motion = drive.motion(150.0, 0.0)
+    data = page_data(motion)
+    assert (data["mean"][0], data["peak_to_peak"][0]) == pytest.approx((error.mean(), np.ptp(error)), abs=6e-5)
+    axis = Figure().subplots()
+    draw_error(axis, motion)
+    assert axis.get_title() == f"transmission error: mean {error.mean():.2f}″, peak to peak {np.ptp(error):.2f}″"
 
 
 def test_without_load_nothing_presses():

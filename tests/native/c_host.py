@@ -27,7 +27,7 @@ INTERFACES = {
 RIPPLE = LossRipple(  # of 5 to 30 % of the losses in `INTERFACES`
     orders=(1.0, 40.0 / 39.0, 40.0),
     speeds=(0.0, 15.0, 80.0),
-    loads=(0.5, 4.0),
+    loads=(0.0, 0.5, 4.0),
     parts=tuple(
         tuple(
             tuple(
@@ -35,7 +35,7 @@ RIPPLE = LossRipple(  # of 5 to 30 % of the losses in `INTERFACES`
                     tuple(
                         (fast * load * 5e-3 * math.cos(flank + k), load * 4e-3 * math.sin(driven + k)) for k in range(3)
                     )
-                    for load in (0.3, 4.0)
+                    for load in (0.0, 0.3, 4.0)
                 )
                 for driven in (1, 2)
             )

@@ -89,13 +89,13 @@ static double ripple_crank(const struct drive *drive) {
     return (drive->table->offers == INTERFACE_COMPLIANT ? s->crank_angle : s->turned) * drive->table->ratio / drive->ratio;
 }
 
-/* Nodes about a value of an ascending list, and the share of the upper one; as at the last one above it. */
+/* The upper of two nodes about a value, of a list that ascends from 0, and its share; as at the last one above it. */
 static uint32_t node_above(const double *nodes, uint32_t count, double value, double *share) {
-    uint32_t above = 0;
+    uint32_t above = 1;
     while (above + 1 < count && value > nodes[above]) {
         above++;
     }
-    *share = above == 0 ? 1.0 : fmin((value - nodes[above - 1]) / (nodes[above] - nodes[above - 1]), 1.0);
+    *share = fmin((value - nodes[above - 1]) / (nodes[above] - nodes[above - 1]), 1.0);
     return above;
 }
 
@@ -103,24 +103,23 @@ double losses_ripple(const struct drive *drive, double reduced, double load, dou
     const struct ripple *ripple = drive->ripple;
     const int flank = load < 0.0, driven = load * direction < 0.0;
     double crank, fast, much, result = 0.0;
-    uint32_t i, j, k;
+    uint32_t i, j, k, above;
     if (ripple == NULL) {
         return 0.0;
     }
     crank = ripple_crank(drive);
     i = node_above(ripple->speed, ripple->speeds, fabs(reduced), &fast);
     j = node_above(ripple->load, ripple->loads, fabs(load), &much);
-    much = j == 0 ? fmin(fabs(load) / ripple->load[0], 1.0) : much;
     for (k = 0; k < ripple->orders; k++) {
         const double turn = ripple->order[k] * crank;
         double part[2];
         int of;
         for (of = 0; of < 2; of++) {
-            double at_speed[2] = {0.0, 0.0}; /* the slower one, the faster one */
-            uint32_t n;
-            for (n = i == 0 ? 0 : i - 1; n <= i; n++) {
-                const double below = j == 0 ? 0.0 : ripple->part[n][flank][driven][j - 1][k][of];
-                at_speed[n == i] = below + much * (ripple->part[n][flank][driven][j][k][of] - below);
+            double at_speed[2]; /* the slower one, the faster one */
+            for (above = 0; above < 2; above++) {
+                const double low = ripple->part[i - 1 + above][flank][driven][j - 1][k][of];
+                const double high = ripple->part[i - 1 + above][flank][driven][j][k][of];
+                at_speed[above] = low + much * (high - low);
             }
             part[of] = at_speed[0] + fast * (at_speed[1] - at_speed[0]);
         }

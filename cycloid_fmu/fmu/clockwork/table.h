@@ -17,8 +17,8 @@ struct side {
 };
 
 /* What the losses take more than their mean at a crank angle θ, N.m at flange_a: the sum of c cos(nθ) + s sin(nθ) over
-   orders n, which need not be whole. Linear between speeds of flange_a, and from none without load to and between torques
-   of the teeth at flange_a. By the sign of that torque (>= 0 first) and by who drives (flange_a first). */
+   orders n, which need not be whole. Linear between speeds of flange_a and between torques of the teeth at flange_a, both
+   from 0 on. By the sign of that torque (>= 0 first) and by who drives (flange_a first). */
 struct ripple {
     uint32_t orders, speeds, loads; /* no orders: none */
     double order[MOST_RIPPLE_ORDERS], speed[MOST_RIPPLE_SPEEDS], load[MOST_RIPPLE_LOADS];

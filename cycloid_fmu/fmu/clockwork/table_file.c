@@ -98,13 +98,22 @@ static void read_rest(struct reader *reader, struct table *table, uint32_t n) {
     }
 }
 
+/* Nodes that ascend from 0. */
+static void read_ascending(struct reader *reader, double *nodes, uint32_t count) {
+    uint32_t i;
+    for (i = 0; i < count; i++) {
+        nodes[i] = reader_number(reader);
+        reader->failed |= !(i == 0 ? nodes[0] == 0.0 : nodes[i] > nodes[i - 1] && nodes[i] < HUGE_VAL);
+    }
+}
+
 static void read_ripple(struct reader *reader, struct ripple *ripple) {
     uint32_t i, j, k;
     ripple->orders = (uint32_t)reader_whole(reader, 4);
     ripple->speeds = (uint32_t)reader_whole(reader, 4);
     ripple->loads = (uint32_t)reader_whole(reader, 4);
     if (ripple->orders > MOST_RIPPLE_ORDERS || ripple->speeds > MOST_RIPPLE_SPEEDS || ripple->loads > MOST_RIPPLE_LOADS
-        || (ripple->orders > 0 && (ripple->speeds == 0 || ripple->loads == 0))) {
+        || (ripple->orders > 0 && (ripple->speeds < 2 || ripple->loads < 2))) {
         reader->failed = 1;
         return;
     }
@@ -112,14 +121,8 @@ static void read_ripple(struct reader *reader, struct ripple *ripple) {
         ripple->order[k] = reader_number(reader);
         reader->failed |= !(fabs(ripple->order[k]) < 1e9);
     }
-    for (j = 0; j < ripple->speeds; j++) {
-        ripple->speed[j] = reader_number(reader);
-        reader->failed |= !(j == 0 ? ripple->speed[j] == 0.0 : ripple->speed[j] > ripple->speed[j - 1] && ripple->speed[j] < HUGE_VAL);
-    }
-    for (j = 0; j < ripple->loads; j++) {
-        ripple->load[j] = reader_number(reader);
-        reader->failed |= !(ripple->load[j] > (j == 0 ? 0.0 : ripple->load[j - 1]) && ripple->load[j] < HUGE_VAL);
-    }
+    read_ascending(reader, ripple->speed, ripple->speeds);
+    read_ascending(reader, ripple->load, ripple->loads);
     for (i = 0; i < 4 * ripple->speeds; i++) {
         for (j = 0; j < ripple->loads; j++) {
             for (k = 0; k < 2 * ripple->orders; k++) {
