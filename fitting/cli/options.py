@@ -46,7 +46,6 @@ MappingFiles = Annotated[
         help="Mapping of the channels, see inspect; repeatable: each file takes the one whose columns it has.",
     ),
 ]
-FIELD_UNITS = {"m": (1e6, "µm"), "rad": (1e3, "mrad"), "1": (1.0, "of the stated")}
 
 
 def check_report(target: Path | None) -> None:

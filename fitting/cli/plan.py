@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cycloid_fmu.edge import ARCSEC, commands
-from fitting.cli import options
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -79,10 +78,11 @@ def plan(
 
 def _print(plans: Sequence[Plan]) -> None:
     from cycloid_fmu.surfaces.structured import unit_of
+    from fitting.reports.fit_report import FIELD_UNITS
 
     rows = []
     for name in [*plans[-1].standard_error, *plans[-1].held]:
-        factor, unit = options.FIELD_UNITS[unit_of(name)]
+        factor, unit = FIELD_UNITS[unit_of(name)]
         known = [f"{p.standard_error[name] * factor:.3f}" if name in p.standard_error else "–" for p in plans]
         rows.append([f"{name} [{unit}]", *known])
     for name in plans[-1].realised:

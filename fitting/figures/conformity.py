@@ -172,7 +172,7 @@ class Decision:
     low, high
         Limits, SI; infinite if there is none.
     verdict
-        Verdict under the certificate's decision rule; a missing figure is undecided.
+        Verdict under the certificate's decision rule; a missing figure is undecided; "" without limits.
     """
 
     figure: str
@@ -180,9 +180,9 @@ class Decision:
     value: float
     expanded: float
     coverage_factor: float
-    low: float
-    high: float
-    verdict: Verdict
+    low: float = -math.inf
+    high: float = math.inf
+    verdict: Verdict | Literal[""] = ""
 
 
 def decisions_of(figures: Figures, certificate: Certificate) -> list[Decision]:

@@ -8,22 +8,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cycloid_fmu import edge
-from cycloid_fmu.draw.pages import made_now
 from cycloid_fmu.edge import ARCMIN, ARCSEC
-from fitting.reports.page import html_page
+from fitting.reports.figures_report import notes_of
+from fitting.reports.page import write_page
 from fitting.reports.panels import HeatMap, Panel, Trace
 
 if TYPE_CHECKING:
     import xarray as xr
 
 _RPM = 30.0 / math.pi
-_ABOVE = """<p>{{ curves }} curves. {{ axis }}</p>
-"""
-_BELOW = """<h2>Excluded data and notes</h2>
-{% if notes %}<ul id="notes">{% for n in notes %}<li>{{ n }}</li>{% endfor %}</ul>{% else %}
-<p id="notes">No data were excluded.</p>{% endif %}
-"""
 
 
 def map_panels(dataset: xr.Dataset) -> list[Panel]:
@@ -31,7 +24,7 @@ def map_panels(dataset: xr.Dataset) -> list[Panel]:
 
     Parameters
     ----------
-    found
+    dataset
         Result of `fitting.maps`.
     """
     if dataset.torque.size == dataset.speed.size == dataset.temperature.size == 1:
@@ -139,21 +132,13 @@ def _panel(title: str, unit: str, dataset: xr.Dataset, values: xr.DataArray) -> 
 
 def write_maps_report(dataset: xr.Dataset, path: str | os.PathLike[str]) -> None:
     """Write the page of maps (HTML); never a partial file."""
-    target = edge.output_path(path, "path", (".html",))
+    from markupsafe import Markup
+
     signs = {
         "size": "Torque is the load's magnitude: its sign follows the direction.",
         "signed": "Torque is signed, of the environment on the output.",
     }
-    axis = f"{signs[dataset.attrs['torque_is']]} Forward: the crank angle increases. The gap is forward minus backward."
-    text = html_page(
-        "Maps of a drive",
-        f"ratio {dataset.attrs['ratio']:g}, {made_now()}",
-        _ABOVE,
-        map_panels(dataset),
-        _BELOW,
-        curves=dataset.attrs["curves"],
-        axis=axis,
-        notes=[n for n in dataset.attrs["notes"].split("\n") if n],
-    )
-    with edge.written_whole(target) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    about = Markup("<p>{} curves. {} Forward: the crank angle increases. The gap is forward minus backward.</p>")
+    above = [about.format(dataset.attrs["curves"], signs[dataset.attrs["torque_is"]])]
+    notes = notes_of([note for note in dataset.attrs["notes"].split("\n") if note])
+    write_page(path, "Maps of a drive", [f"ratio {dataset.attrs['ratio']:g}"], map_panels(dataset), above, [notes])
