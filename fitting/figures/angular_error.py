@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.figures.figure import DEFINITIONS, UNITS, Figure
+from fitting.figures.figure import DEFINITIONS, Figure
 from fitting.transmission_error.curve import Curve
 from fitting.transmission_error.spectrum import Spectrum, range_of, significant
 
@@ -46,14 +46,5 @@ def angular_transmission_error(curve: Curve, orders: Spectrum, runaway: float = 
         drawn[begin : begin + rows] = range_of(np.where(out, noisy, 0.0), points)
     bias = float(drawn.mean()) - largest_range
     uncertainty = math.hypot(1.96 * float(drawn.std(ddof=1)), runaway / max(curve.turns, 1.0))
-    name = "angular_transmission_error"
-    return Figure(
-        max(largest_range - bias, 0.0),
-        uncertainty,
-        UNITS[name],
-        DEFINITIONS[name],
-        (0.0, 2.0 * math.pi),
-        "rad",
-        curve.turns,
-        "turns",
-    )
+    definition, interval = DEFINITIONS["angular_transmission_error"], (0.0, 2.0 * math.pi)
+    return Figure(max(largest_range - bias, 0.0), uncertainty, *definition, interval, "rad", curve.turns, "turns")

@@ -198,19 +198,7 @@ def _figure(data: dict[str, Any]) -> Figure:
     counted = next(c for c in (*_COUNTED, None) if c is None or c in data)
     if counted is None:
         raise KeyError(" or ".join(_COUNTED))
-    known = {
-        "value",
-        "uncertainty",
-        "unit",
-        "definition",
-        "interval",
-        "interval_unit",
-        "runs",
-        "segments",
-        "budget",
-        "remark",
-        counted,
-    }
+    known = {"budget", counted, *(field.name for field in dataclasses.fields(Figure))}
     return Figure(
         value=float(data["value"]),
         uncertainty=math.nan if data["uncertainty"] is None else float(data["uncertainty"]),

@@ -32,7 +32,7 @@ from cycloid_fmu import edge
 from cycloid_fmu.fmu.friction_file import FORMAT as FRICTION_FILE
 from cycloid_fmu.fmu.friction_file import LIMITS
 from fitting.arguments import check_ratio, positive
-from fitting.figures.figure import Figure, figure_json
+from fitting.figures.figure import Definition, Figure, figure_json
 from fitting.figures.metrics import FORMAT as FIGURES
 from fitting.figures.starts import STARTS, Start, start_figures
 from fitting.readers.recording import Recording
@@ -44,26 +44,21 @@ Numbers = NDArray[np.intp]
 
 FORMAT = "cycloid-friction-fit/1"
 DEFINITIONS = {
-    "coulomb": "sliding friction without load, extrapolated to zero speed by the fitted line, mean of both directions",
-    "coulomb_forward": "torque extrapolated to zero speed from positive speeds; it contains the offset",
-    "coulomb_backward": "minus the torque extrapolated to zero speed from negative speeds; it contains the offset",
-    "viscous": "slope of the friction over the speed of the output",
-    "stribeck": "additional friction towards rest, S of S exp(-(w/w_s)^2)",
-    "stribeck_speed": "speed w_s of the output at which it has fallen to 1/e",
-    "friction_per_load": "growth of the friction with the torque of the teeth, mu",
-    "offset": "mean torque of both directions: a load, or the zero of the sensor",
-    "inertia": "torque over acceleration, referred to the output",
-}
-UNITS = {
-    "coulomb": "N*m",
-    "coulomb_forward": "N*m",
-    "coulomb_backward": "N*m",
-    "viscous": "N*m*s/rad",
-    "stribeck": "N*m",
-    "stribeck_speed": "rad/s",
-    "friction_per_load": "1",
-    "offset": "N*m",
-    "inertia": "kg*m^2",
+    "coulomb": Definition(
+        "N*m", "sliding friction without load, extrapolated to zero speed by the fitted line, mean of both directions"
+    ),
+    "coulomb_forward": Definition(
+        "N*m", "torque extrapolated to zero speed from positive speeds; it contains the offset"
+    ),
+    "coulomb_backward": Definition(
+        "N*m", "minus the torque extrapolated to zero speed from negative speeds; it contains the offset"
+    ),
+    "viscous": Definition("N*m*s/rad", "slope of the friction over the speed of the output"),
+    "stribeck": Definition("N*m", "additional friction towards rest, S of S exp(-(w/w_s)^2)"),
+    "stribeck_speed": Definition("rad/s", "speed w_s of the output at which it has fallen to 1/e"),
+    "friction_per_load": Definition("1", "growth of the friction with the torque of the teeth, mu"),
+    "offset": Definition("N*m", "mean torque of both directions: a load, or the zero of the sensor"),
+    "inertia": Definition("kg*m^2", "torque over acceleration, referred to the output"),
 }
 FILE_NAMES = {
     "coulomb": "coulomb",
@@ -457,7 +452,7 @@ def friction_toml(friction_fit: FrictionFit) -> str:
         if not least <= value <= (math.inf if most is None else most):
             raise edge.InputError(f"{name} = {value:.4g}: a friction file takes {least:g} to {most}.")
         number = f"{value:.6g}"
-        lines.append(f"{key} = {number}" if unit == "1" else f'{key} = "{number} {UNITS[name]}"')
+        lines.append(f"{key} = {number}" if unit == "1" else f'{key} = "{number} {DEFINITIONS[name].unit}"')
     return "\n".join([*lines, ""])
 
 
@@ -735,8 +730,7 @@ def _figures_of(
         figures[name] = Figure(
             value,
             uncertainty,
-            UNITS[name],
-            DEFINITIONS[name],
+            *DEFINITIONS[name],
             speeds,
             "rad/s",
             fit.blocks,
@@ -839,7 +833,7 @@ def loop_growth(loop: str | os.PathLike[str]) -> tuple[Figure, bool]:
         float(value),
         half,
         "1",
-        str(growth.get("definition", DEFINITIONS["friction_per_load"])),
+        str(growth.get("definition", DEFINITIONS["friction_per_load"].text)),
         None,
         "",
         float(growth.get("passes", 1)),

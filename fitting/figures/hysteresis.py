@@ -19,7 +19,7 @@ from scipy.special import stdtrit
 
 from cycloid_fmu import edge
 from cycloid_fmu.geometry.pair import LOST_MOTION_LOAD
-from fitting.figures.figure import DEFINITIONS, UNITS, Figure
+from fitting.figures.figure import DEFINITIONS, Figure
 from fitting.transmission_error.loops import SIDES, Line, Lobe, Loop, LoopData, fit_line, residual_variance
 
 Array = NDArray[np.float64]
@@ -497,9 +497,7 @@ def _stiffness_figure(
 def _mean_figure(name: str, values: list[_Value], drifted: list[_Value], interval: tuple[float, float]) -> Figure:
     """Return the mean of a figure's values over loops, with the drift's part of its uncertainty."""
     value, uncertainty, degrees = mean_of_loops(values, _moved(values, drifted))
-    return Figure(
-        value, uncertainty, UNITS[name], DEFINITIONS[name], interval, "N*m", len(values), "loops", degrees=degrees
-    )
+    return Figure(value, uncertainty, *DEFINITIONS[name], interval, "N*m", len(values), "loops", degrees=degrees)
 
 
 def _loop_notes(

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from fitting.figures.figure import DEFINITIONS, UNITS, Figure
+from fitting.figures.figure import DEFINITIONS, Figure
 from fitting.readers.recording import Recording
 
 Array = NDArray[np.float64]
@@ -132,14 +132,5 @@ def start_figure(name: str, torques: Sequence[float]) -> Figure:
     if len(torques) > 1:
         quantile = float(stdtrit(len(torques) - 1, 0.975))
         half = quantile * float(np.std(torques, ddof=1)) / math.sqrt(len(torques))
-    return Figure(
-        float(np.mean(torques)),
-        half,
-        UNITS[name],
-        DEFINITIONS[name],
-        None,
-        "",
-        len(torques),
-        "starts",
-        degrees=max(len(torques) - 1.0, 1.0),
-    )
+    degrees = max(len(torques) - 1.0, 1.0)
+    return Figure(float(np.mean(torques)), half, *DEFINITIONS[name], None, "", len(torques), "starts", degrees=degrees)
