@@ -416,7 +416,7 @@ FORMULAS = {
     "code": ("__import__('os').system('touch acted')", None),
     "frames": ("X.__class__", None),
     "power": ("9**9**9**9*X", lambda x: np.where(x == 0, np.nan, np.inf)),
-    "nested": ("(" * 40 + "X" + ")" * 40, None),
+    "nested": ("-" * 200 + "X", None),
     "unknown": ("X ^ 2", None),
     "long": ("X" + "+X" * 200, None),
 }
