@@ -28,12 +28,10 @@ def curve(
     import numpy as np
 
     import fitting
-    from cycloid_fmu.drive import read_drive
     from fitting.reports.panels import label_of
     from fitting.transmission_error.curve import curves_json, noise_of
 
-    options.check_ratio(drive, ratio)
-    nominal = ratio if drive is None else read_drive(drive)
+    nominal = options.drive_or_ratio(drive, ratio)
     curves = fitting.curves(fitting.read_recordings(files, mapping, read_head), nominal)
     if output is not None:
         fitting.write_curves(curves, output)

@@ -57,17 +57,16 @@ def friction(
     Example: [cyan]cycloid-fit friction ramp.csv --mapping map.toml --speeds "0.1 rev/s, 1 rev/s" -o friction.toml[/]
     """
     import fitting
-    from cycloid_fmu.drive import read_drive
+    from cycloid_fmu.drive import Drive
     from fitting.figures.figure import in_field_units
     from fitting.figures.friction import friction_json
 
-    options.check_ratio(drive, ratio)
-    stated_drive = None if drive is None else read_drive(drive)
-    nominal = ratio if stated_drive is None else stated_drive.ratio
+    nominal = options.drive_or_ratio(drive, ratio)
+    stated_drive = nominal if isinstance(nominal, Drive) else None
     with commands.status() as progress:
         fit = fitting.friction(
             fitting.read_recordings(files, mapping),
-            ratio=nominal,
+            ratio=ratio if stated_drive is None else stated_drive.ratio,
             loop=loop,
             progress=progress,
             speeds=commands.separated(speeds),

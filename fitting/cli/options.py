@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -56,10 +56,26 @@ def check_report(target: Path | None) -> None:
         script()
 
 
-def check_ratio(pair: Path | None, ratio: float | None) -> None:
-    """Refuse --pair together with --ratio."""
-    if pair is not None and ratio is not None:
+def drive_or_ratio(pair: Path | None, ratio: float | None) -> Drive | float | None:
+    """Return the drive of --pair, or the ratio of --ratio, or None; refuse both."""
+    from cycloid_fmu.drive import read_drive
+
+    if pair is None:
+        return ratio
+    if ratio is not None:
         raise edge.InputError("--pair and --ratio: give one of the two; the pair states its ratio.")
+    return read_drive(pair)
+
+
+def figures_of(files: list[Path], pair: Path | None, mapping: list[Path] | None, **settings: Any) -> Figures:
+    """Return the figures of recordings, with the settings of `fitting.metrics`."""
+    import fitting
+    from cycloid_fmu.drive import read_drive
+
+    drive = None if pair is None else read_drive(pair)
+    recordings = fitting.read_recordings(files, mapping)
+    with commands.status() as progress:
+        return fitting.metrics(recordings, drive, progress=progress, **settings)
 
 
 def write_drive(drive: Drive, surface: Path, bearings: str) -> list[str]:

@@ -350,24 +350,9 @@ class RecordingStream:
 
     def recording(self, columns: Mapping[str, NDArray[Any]]) -> Recording:
         """Return columns of a block as a recording from this file; call it when all blocks have been read."""
-        return Recording(
-            **columns,
-            source=self.source,
-            checksum=self.checksum,
-            ratio=self.ratio,
-            pair=self.pair,
-            common_zero=self.common_zero,
-            known_index=self.known_index,
-            notes=tuple(self.notes),
-            alignment=self.alignment,
-            torque_alignment=self.torque_alignment,
-            limits=self.limits,
-            speed=self.speed,
-            timed=self.timed,
-            has_input_angle=self.has_input_angle,
-            locked=self.locked,
-            pulley=self.pulley,
-        )
+        names = {f.name for f in dataclasses.fields(Recording)} - {f.name for f in dataclasses.fields(Block)}
+        about: dict[str, Any] = {name: getattr(self, name) for name in names}
+        return Recording(**{**columns, **about, "notes": tuple(self.notes)})
 
     def _clock_notes(self) -> list[str]:
         """Return notes on channels converted to the host's clock; set `alignment` and `torque_alignment`."""
