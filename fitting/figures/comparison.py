@@ -155,20 +155,13 @@ def _interval(figure: Figure) -> str:
 
 def comparison_json(comparison: Comparison) -> dict[str, Any]:
     """Return a comparison as JSON data for scripts, SI."""
-    return {
-        **{
-            c.name: {
-                "before": c.before.value,
-                "after": c.after.value,
-                "difference": c.difference,
-                "uncertainty": c.uncertainty,
-                "unit": c.before.unit,
-                "moved": c.moved,
-            }
-            for c in comparison.changes
-        },
-        "notes": list(comparison.notes),
+    same = ("difference", "uncertainty", "moved")
+    changes = {
+        c.name: {"before": c.before.value, "after": c.after.value, "unit": c.before.unit}
+        | {name: getattr(c, name) for name in same}
+        for c in comparison.changes
     }
+    return {**changes, "notes": list(comparison.notes)}
 
 
 def read_figures(path: str | os.PathLike[str]) -> dict[str, Figure]:

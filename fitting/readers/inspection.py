@@ -146,23 +146,13 @@ def inspect(path: str | os.PathLike[str], dbc: str | os.PathLike[str] | None = N
 
 def inspection_json(inspection: Inspection) -> dict[str, Any]:
     """Return the content of a file as JSON data for scripts."""
-    channels = {
-        o.channel.name: {
-            "unit": o.channel.unit,
-            "samples": o.values.size,
-            "min": o.extremes[0],
-            "max": o.extremes[1],
-        }
-        for o in inspection.looks
-    }
+    channels = {}
+    for look in inspection.looks:
+        low, high = look.extremes
+        channels[look.channel.name] = {"unit": look.channel.unit, "samples": look.values.size, "min": low, "max": high}
     roles = {role: look.channel.name for role, look in inspection.roles.items()}
-    runs = {
-        run.name: {
-            "output_angle": run.output_angle.channel.name,
-            "transmission_error": run.transmission_error.channel.name,
-        }
-        for run in inspection.runs
-    }
+    names = ("output_angle", "transmission_error")
+    runs = {run.name: {name: getattr(run, name).channel.name for name in names} for run in inspection.runs}
     return {
         "channels": channels,
         "text": list(inspection.file.texts),

@@ -146,7 +146,7 @@ class _Turns:
         self._at = (row, point)
         self._number = given.number - self.first
         self.psi = given.input_angle * self.scale
-        self._middle = float(self.psi.mean())
+        self.middle = float(self.psi.mean())
         inside = self.psi - (given.number + 0.5) * (2.0 * np.pi / self.each)
         variance = given.angle_variance * self.scale**2
         self._width = np.sqrt(12.0 * variance)
@@ -187,7 +187,7 @@ class _Turns:
 
     def wave(self, order: float) -> Complex:
         """Return exp(i order ψ) in the means of the steps, from the middle of the recording, shape (steps,)."""
-        angle = order * (self.psi - self._middle)
+        angle = order * (self.psi - self.middle)
         half = (0.5 * order * self._width) ** 2  # sin x/x to 0.02 %: the steps of an order are less than x = 0.4 π wide
         values: Complex = (np.cos(angle) + 1j * np.sin(angle)) * (1.0 - half / 6.0 * (1.0 - half / 20.0))
         return values
@@ -199,16 +199,11 @@ class _Turns:
 
     def slope(self, order: float, coefficient: complex) -> Array:
         """Return the derivative of an order's wave with respect to the order, shape (steps,)."""
-        return self._projected((1j * (self.psi - self._middle) * coefficient * self.wave(order)).real)
+        return self._projected((1j * (self.psi - self.middle) * coefficient * self.wave(order)).real)
 
     def at_zero(self, order: float, coefficient: complex) -> complex:
         """Return a coefficient with its phase from crank angle zero."""
-        return complex(coefficient * np.exp(-1j * order * self._middle))
-
-    @property
-    def middle(self) -> float:
-        """ψ in the middle of the recording, rad."""
-        return self._middle
+        return complex(coefficient * np.exp(-1j * order * self.middle))
 
     def lines(self, rest: Array, padded: int = 1) -> tuple[Array, Array]:
         """Return orders and their squared amplitudes, rad², one for each 1/(padded turns)."""
@@ -600,16 +595,7 @@ def orders_json(run_orders: RunOrders) -> dict[str, Any]:
         "turns": run_orders.turns,
         "searched": run_orders.searched,
         "orders": [
-            {
-                "order": int(order.order) if order.whole else order.order,
-                "order_uncertainty": order.order_uncertainty,
-                "amplitude": order.amplitude,
-                "uncertainty": order.uncertainty,
-                "unit": "rad",
-                "phase": order.phase,
-                "phase_uncertainty": order.phase_uncertainty,
-                "source": order.source,
-            }
+            vars(order) | {"order": int(order.order) if order.whole else order.order, "unit": "rad"}
             for order in run_orders.orders
         ],
         "turn_averaging": None if averaging is None else vars(averaging) | {"unit": "rad"},

@@ -18,7 +18,7 @@ from fitting.samples.plausible import PlausibleBlocks
 from fitting.transmission_error.curve import Curve
 from fitting.transmission_error.folding import Folding
 from fitting.transmission_error.loop_groups import loop_groups, positions_of
-from fitting.transmission_error.loops import LoopData, loops_of
+from fitting.transmission_error.loops import LoopData, loops_of, residual_variance
 
 Array = NDArray[np.float64]
 
@@ -364,7 +364,5 @@ def lag_of(recording: Recording, ratio: float) -> tuple[float, float] | None:
     if np.sqrt(spread / time.size) < 0.02 * np.abs(speed).max():
         return None
     slope = float(changes @ error) / spread
-    rest = error - slope * changes
-    alike = min(max(float(rest[1:] @ rest[:-1]) / max(float(rest @ rest), 1e-300), 0.0), 1.0 - 2.0 / time.size)
-    variance = float(rest @ rest) / (time.size - columns.shape[1] - 1) / spread * (1.0 + alike) / (1.0 - alike)
+    variance = residual_variance(error - slope * changes, time.size - columns.shape[1] - 1) / spread
     return -slope, 1.96 * float(np.sqrt(variance))
