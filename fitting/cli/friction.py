@@ -58,7 +58,6 @@ def friction(
     """
     import fitting
     from cycloid_fmu.drive import Drive
-    from fitting.figures.figure import in_field_units
     from fitting.figures.friction import friction_json
 
     nominal = options.drive_or_ratio(drive, ratio)
@@ -73,21 +72,13 @@ def friction(
         )
         if stated_drive is not None and stated_drive.pair.losses is not None and stated_drive.pair.supports is not None:
             fit = _with_coefficients(fit, stated_drive, loop)
-    if plot is not None:
-        fitting.plot(fit, plot)
-    if output is not None:
-        fit.write(output)
+    options.write(fit, output=output, plot=plot)
     if as_json:
         commands.print_json(friction_json(fit))
         return
-    every = {**fit.figures, **fit.coefficients}
-    rows = [[name, *in_field_units(figure), f"{figure.count:.4g} {figure.counted}"] for name, figure in every.items()]
     low, high = fit.speeds
     title = f"Friction at the output, {low:.4g} to {high:.4g} rad/s"
-    commands.print_table(title, ["figure", "value", "± 95 %", "unit", "of"], rows)
-    for name, figure in fit.figures.items():
-        if figure.remark:
-            typer.echo(f"{name}: {figure.remark}.")
+    options.print_figures(title, {**fit.figures, **fit.coefficients})
     options.print_notes(fit.notes)
 
 

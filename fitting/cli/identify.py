@@ -40,9 +40,7 @@ def identify(
             "--profile", metavar="ERROR", help="Compute this error's interval by profile likelihood; repeatable."
         ),
     ] = None,
-    form: Annotated[
-        str, typer.Option(metavar="LENGTH", help="Expected form error shared by all flanks; 0 um if the form is known.")
-    ] = "1 um",
+    form: options.Form = "1 um",
     parameters: Annotated[
         Path | None,
         typer.Option(
@@ -84,16 +82,11 @@ def identify(
             progress=progress,
         )
     notes = list(result.notes)
-    if output is not None:
-        result.write(output)
+    options.write(result, output=output, plot=plot, report=report)
     if surface is not None:
         notes += options.write_drive(
             result.drive, surface, "identified" if result.bearings or result.coefficients else ""
         )
-    if plot is not None:
-        fitting.plot(result, plot)
-    if report is not None:
-        fitting.report(result, report)
     if as_json:
         commands.print_json(content(result))
         return

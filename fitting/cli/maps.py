@@ -38,10 +38,7 @@ def maps(
         dataset = fitting.maps(fitting.read_recordings(files, mapping), nominal, progress=progress)
     if output is not None:
         write_maps(dataset, output)
-    if report is not None:
-        fitting.report(dataset, report)
-    if plot is not None:
-        fitting.plot(dataset, plot)
+    options.write(dataset, plot=plot, report=report)
     notes = [n for n in dataset.attrs["notes"].split("\n") if n]
     if as_json:
         numbers = {str(name): values.values for name, values in {**dataset.coords, **dataset.data_vars}.items()}

@@ -27,8 +27,6 @@ def metrics(
 
     Example: [cyan]cycloid-fit metrics loop.csv *.arrows --ratio -39 --rated-torque "167 N*m"[/]
     """
-    import fitting
-
     figures = options.figures_of(
         files,
         drive,
@@ -38,8 +36,5 @@ def metrics(
         instruments=instruments,
         stiffness_limits=commands.separated(stiffness_limits),
     )
-    if plot is not None:
-        fitting.plot(figures, plot)
-    if output is not None:
-        figures.write(output)
+    options.write(figures, output=output, plot=plot)
     options.finish(figures, as_json=as_json)

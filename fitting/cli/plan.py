@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cycloid_fmu.edge import ARCSEC, commands
+from fitting.cli import options
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -43,9 +44,7 @@ def plan(
             "m", "Standard deviation of single pins and teeth beyond their low orders.", show_default="0.3 um"
         ),
     ] = 0.3e-6,
-    form: Annotated[
-        str, typer.Option(metavar="LENGTH", help="Expected form error shared by all flanks; 0 um if the form is known.")
-    ] = "1 um",
+    form: options.Form = "1 um",
     as_json: commands.AsJson = False,
 ) -> None:
     """Predict before a measurement which errors each set of loads and directions identifies, and how accurately.
@@ -68,8 +67,7 @@ def plan(
         form=form,
         loop=loop,
     )
-    if plot is not None:
-        fitting.plot(plans, plot)
+    options.write(plans, plot=plot)
     if as_json:
         commands.print_json([dataclasses.asdict(p) for p in plans])
     else:
