@@ -20,7 +20,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -412,16 +412,13 @@ class FrictionFit:
 
 def friction_json(friction_fit: FrictionFit) -> dict[str, Any]:
     """Return the fit as the content of a `cycloid-friction-fit/1` file, SI."""
+    coefficients = {name: figure_json(figure) for name, figure in friction_fit.coefficients.items()}
     return {
         "format": FORMAT,
         **{name: figure_json(figure) for name, figure in friction_fit.figures.items()},
         "speeds": list(friction_fit.speeds),
         "loads": friction_fit.loads,
-        **(
-            {"coefficients": {n: figure_json(coefficient) for n, coefficient in friction_fit.coefficients.items()}}
-            if friction_fit.coefficients
-            else {}
-        ),
+        **({"coefficients": coefficients} if coefficients else {}),
         "data": friction_fit.data,
         "notes": list(friction_fit.notes),
     }
@@ -463,23 +460,16 @@ def _offset_columns(stretches: Stretches, loads: bool) -> dict[str, Array]:
     return {f"offset {k}": (stretches.recording == k).astype(float) for k in np.unique(stretches.recording)}
 
 
-def _both_ways(stretches: Stretches) -> list[int]:
-    """Return the numbers of the recordings with both directions."""
-    return [
-        int(k)
-        for k in np.unique(stretches.recording)
-        if len(set(np.sign(stretches.speed[stretches.recording == k]))) == 2
-    ]
-
-
-def _mean_torques(stretches: Stretches, numbers: Sequence[int]) -> tuple[Array, Array]:
-    """Return the offset and the friction of single recordings with both directions, N·m."""
-    values = []
-    for k in numbers:
+def _mean_torques(stretches: Stretches) -> dict[int, tuple[float, float]]:
+    """Return the offset and the friction, N·m, of each recording with both directions, by its number."""
+    torques = {}
+    for k in np.unique(stretches.recording):
         part = stretches.chosen(stretches.recording == k)
-        x = np.column_stack([np.ones(part.speed.size), np.sign(part.speed)])
-        values.append(np.linalg.lstsq(x, part.torque, rcond=None)[0])
-    return np.array([v[0] for v in values]), np.array([v[1] for v in values])
+        sign = np.sign(part.speed)
+        if np.unique(sign).size == 2:
+            offset, friction = np.linalg.lstsq(np.column_stack([np.ones(sign.size), sign]), part.torque, rcond=None)[0]
+            torques[int(k)] = float(offset), float(friction)
+    return torques
 
 
 @dataclass
@@ -569,9 +559,9 @@ def fit_friction(
         If the torque opposes the motion: it is then not what drives.
     """
     measured = bool(np.isfinite(stretches.load).all())
-    both = _both_ways(stretches)
+    both = _mean_torques(stretches)
     loads, apart, notes = _loads_of(stretches, sources, both, measured)
-    used = np.isin(stretches.recording, both) if apart else np.ones(stretches.speed.size, bool)
+    used = np.isin(stretches.recording, [*both]) if apart else np.ones(stretches.speed.size, bool)
     every, stretches = stretches, stretches.chosen(used)
     renumbered = np.unique(stretches.block, return_inverse=True)[1]
     stretches = dataclasses.replace(stretches, block=renumbered)
@@ -628,22 +618,25 @@ def fit_friction(
 
 
 def _loads_of(
-    stretches: Stretches, sources: Sequence[str], both: Sequence[int], measured: bool
+    stretches: Stretches, sources: Sequence[str], both: Mapping[int, tuple[float, float]], measured: bool
 ) -> tuple[dict[str, float], bool, list[str]]:
-    """Return the load of each recording (N·m), whether it is the mean of both directions, and notes."""
+    """Return the load of each recording (N·m), whether it is the mean of both directions, and notes.
+
+    `both`: offset and friction of each recording with both directions, of `_mean_torques`.
+    """
     if measured:
         numbers = np.unique(stretches.recording)
         return {sources[k]: float(stretches.load[stretches.recording == k].mean()) for k in numbers}, False, []
     if len(both) < 2:
         return {}, False, []
-    offsets, frictions = _mean_torques(stretches, both)
+    offsets, frictions = np.array([*both.values()]).T
     if not float(np.ptp(offsets)) > _OTHER_LOAD * float(np.abs(frictions).mean()):
         return {}, False, []
     notes = []
     single = [sources[k] for k in np.unique(stretches.recording) if k not in both]
     if single:
         notes.append(f"{edge.listed(single)}: left out; under a load, friction needs both directions in one recording.")
-    return {sources[k]: float(o) for k, o in zip(both, offsets, strict=True)}, True, notes
+    return {sources[k]: offset for k, (offset, _) in both.items()}, True, notes
 
 
 def _add_running_terms(model: _Model) -> tuple[bool, list[str]]:
@@ -763,7 +756,7 @@ def _of_recordings(
     names: Sequence[str],
     sums: Mapping[str, Mapping[str, float]],
     loaded: bool,
-    both: Sequence[int],
+    both: Collection[int],
 ) -> dict[str, float]:
     """Return half widths of 95 % intervals from the scatter of three or more recordings that show all terms alone."""
     if loaded or len(both) < 3 or "stribeck" in names:
@@ -829,16 +822,8 @@ def loop_growth(loop: str | os.PathLike[str]) -> tuple[Figure, bool]:
     half = math.nan if uncertainty is None else float(uncertainty)
     locked = content.get("locked")
     by_motor = isinstance(locked, dict) and set(locked.values()) == {"output"}
-    figure = Figure(
-        float(value),
-        half,
-        "1",
-        str(growth.get("definition", DEFINITIONS["friction_per_load"].text)),
-        None,
-        "",
-        float(growth.get("passes", 1)),
-        "passes",
-    )
+    text = str(growth.get("definition", DEFINITIONS["friction_per_load"].text))
+    figure = Figure(float(value), half, "1", text, None, "", float(growth.get("passes", 1)), "passes")
     return figure, by_motor
 
 
@@ -939,9 +924,8 @@ def friction(
         )
         if not figures:
             raise edge.NoDataError(" ".join(notes))
-        empty = np.zeros(0)
         nothing = stretches.chosen(np.zeros(0, np.intp))
-        return FrictionFit(figures, limits, {}, nothing, empty, {}, tuple(dict.fromkeys(notes)), data)
+        return FrictionFit(figures, limits, {}, nothing, np.zeros(0), {}, tuple(dict.fromkeys(notes)), data)
     running, loads, fitted, removed, added = fit_friction(stretches, sources, limits)
     figures = running | figures
     if growth is not None and "friction_per_load" not in figures:
