@@ -140,12 +140,10 @@ def _scatter(passes: Sequence[Pass], of: Callable[[Sequence[Pass]], Values | Non
         )
     total_variances = {}
     for name in set(each[0]) | set(each[1]):
-        parts = [
-            (variance, count - 1.0)
-            for variance, count in (of_direction[name] for of_direction in each if name in of_direction)
-        ]
-        if len(parts) == 1:
-            variance, count = next(of_direction[name] for of_direction in each if name in of_direction)
+        known = [of_direction[name] for of_direction in each if name in of_direction]
+        parts = [(variance, count - 1.0) for variance, count in known]
+        if len(known) == 1:
+            variance, count = known[0]
             parts.append((variance * count, count - 1.0))
         total = sum(variance for variance, _ in parts)
         spread = sum(variance**2 / degrees for variance, degrees in parts)
