@@ -60,10 +60,7 @@ def band_panels(drive: Drive, drawn: Sequence[Drive], torque: float) -> list[Pan
 
     identified, turns = error(drive), angle / (2.0 * np.pi)
     low, high = np.quantile([error(drive) for drive in drawn], [0.025, 0.975], axis=0)
-    whole = (
-        band(f"95 % of {len(drawn)} drawn", turns, low, high),
-        Trace("identified", turns, identified, "thin"),
-    )
+    whole = (band(f"95 % of {len(drawn)} drawn", turns, low, high), Trace("identified", turns, identified, "thin"))
     difference = (band("", turns, low - identified, high - identified),)
     return [
         Panel(f"{torque:+.4g} N·m", "crank turns", ERROR, whole, ""),

@@ -46,11 +46,7 @@ Part: TypeAlias = "Table | Sentences | Markup"
 
 
 def html_page(
-    title: str,
-    facts: str,
-    panels: Sequence[Panel],
-    above: Sequence[Part] = (),
-    below: Sequence[Part] = (),
+    title: str, facts: str, panels: Sequence[Panel], above: Sequence[Part] = (), below: Sequence[Part] = ()
 ) -> str:
     """Return one self-contained HTML page: parts above the panels, the panels, parts below; texts are escaped."""
     import jinja2

@@ -342,10 +342,7 @@ def _mid_curve_panels(source: str, free: FrictionFree) -> list[Panel]:
         Trace("line up to 70 %", load, fitted, "dashed", 1),
     ]
     seen = "Half the distance of both directions at the same windup, over the spring's torque; both sides."
-    return [
-        first,
-        Panel(f"Friction: {name}", "spring's torque [N·m]", "friction [N·m]", tuple(traces), seen),
-    ]
+    return [first, Panel(f"Friction: {name}", "spring's torque [N·m]", "friction [N·m]", tuple(traces), seen)]
 
 
 def _stiffness_panel(figures: Figures) -> list[Panel]:

@@ -149,10 +149,7 @@ class OneClock:
         keep = chosen & ~left_out
         marked = self._marks.of_kept(status[chosen], ~left_out[chosen])
         if keep.any():
-            yield (
-                {"time": time[keep], self._master: value[keep], **{r: v[keep] for r, v in table.items()}},
-                marked,
-            )
+            yield ({"time": time[keep], self._master: value[keep], **{r: v[keep] for r, v in table.items()}}, marked)
         self._keep(joined, until)
 
     def _usual_step(self, role: str, time: Array) -> float:
