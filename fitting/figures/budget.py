@@ -191,17 +191,11 @@ def _of_loops(surveyed: Sequence[Surveyed], instruments: Instruments, ratio: flo
     if not data:
         return {}
     nominal = _loop_values(data)
-    contributions: _ByFigure = {name: [] for name in nominal}
-    parts = [
-        _of_loop_encoder("output", instruments.output_encoder, 1.0, data, angles, nominal),
-        _of_loop_torque(instruments.torque_sensor, data, nominal),
-    ]
+    parts = [_of_loop_encoder("output", instruments.output_encoder, 1.0, data, angles, nominal)]
     if ratio is not None:
-        parts.insert(1, _of_loop_encoder("input", instruments.input_encoder, -1.0 / ratio, data, angles, nominal))
-    for part in parts:
-        for name, rows in part.items():
-            contributions[name] += rows
-    return contributions
+        parts.append(_of_loop_encoder("input", instruments.input_encoder, -1.0 / ratio, data, angles, nominal))
+    parts.append(_of_loop_torque(instruments.torque_sensor, data, nominal))
+    return {name: [row for part in parts for row in part[name]] for name in nominal}
 
 
 def _sensitivities(

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cycloid_fmu.edge import ARCMIN, ARCSEC
+from fitting.figures.maps import DIRECTIONS
 from fitting.reports.figures_report import notes_of
 from fitting.reports.page import write_page
 from fitting.reports.panels import HeatMap, Panel, Trace
@@ -29,29 +30,25 @@ def map_panels(dataset: xr.Dataset) -> list[Panel]:
     """
     if dataset.torque.size == dataset.speed.size == dataset.temperature.size == 1:
         return [_bars(dataset)]
-    two = [("forward", "forward"), ("backward", "backward")]
-    shown = [
-        ("angular_transmission_error", "Angular transmission error", "arcsec", ARCSEC, two),
-        (
-            "angular_transmission_error_without_rig",
-            "Angular transmission error without the rig's orders",
-            "arcsec",
-            ARCSEC,
-            two,
-        ),
-        ("gap", "Gap between directions", "arcsec", ARCSEC, [("", "")]),
-        ("torsional_stiffness", "Torsional stiffness", "N·m/arcmin", 1.0 / ARCMIN, two),
-    ]
+    shown = {
+        "angular_transmission_error": "Angular transmission error",
+        "angular_transmission_error_without_rig": "Angular transmission error without the rig's orders",
+        "gap": "Gap between directions",
+        "torsional_stiffness": "Torsional stiffness",
+    }
     panels = []
-    for name, title, unit, factor, ways in shown:
-        for direction, text in ways:
-            values = dataset[name].sel(direction=direction) if direction else dataset[name]
-            panels += _panel(f"{title}{', ' if text else ''}{text}", unit, dataset, values * factor)
+    for name, title in shown.items():
+        unit, factor = ("N·m/arcmin", 1.0 / ARCMIN) if name == "torsional_stiffness" else ("arcsec", ARCSEC)
+        if name == "gap":
+            panels += _panel(title, unit, dataset, dataset[name] * factor)
+            continue
+        for direction in DIRECTIONS:
+            panels += _panel(f"{title}, {direction}", unit, dataset, dataset[name].sel(direction=direction) * factor)
     for order, kind in zip(dataset.order.values, dataset.order_name.values, strict=True):
-        for direction, text in two:
+        for direction in DIRECTIONS:
             values = dataset.order_amplitude.sel(order=order, direction=direction) * ARCSEC
             of = f" ({kind})" if kind else ""
-            panels += _panel(f"Order {order}{of}, amplitude, {text}", "arcsec", dataset, values)
+            panels += _panel(f"Order {order}{of}, amplitude, {direction}", "arcsec", dataset, values)
     return panels
 
 
@@ -69,14 +66,14 @@ def _bars(dataset: xr.Dataset) -> Panel:
     bars = [
         (name, direction, (each.sel(direction=direction) if direction else each).values.item() * ARCSEC)
         for name, each in values
-        for direction in (("forward", "backward") if "direction" in each.dims else ("",))
+        for direction in (DIRECTIONS if "direction" in each.dims else ("",))
     ]
     bars = [bar for bar in bars if np.isfinite(bar[2])]
     traces: list[Trace] = []
     for row, (_, direction, value) in enumerate(bars):
         label = direction if all(trace.label != direction for trace in traces) else ""
         at = np.full(2, -float(row))
-        traces.append(Trace(label, np.array([0.0, value]), at, "thick", ("forward", "backward", "").index(direction)))
+        traces.append(Trace(label, np.array([0.0, value]), at, "thick", (*DIRECTIONS, "").index(direction)))
     lengths = np.array([value for *_, value in bars])
     column = np.full(lengths.size, lengths.max() + 0.08 * np.ptp([0.0, *lengths]))
     texts = tuple(f"{value:.3g}" for value in lengths)
