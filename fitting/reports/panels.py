@@ -350,25 +350,19 @@ def _stiffness_panel(figures: Figures) -> list[Panel]:
     figure = figures.figures.get("torsional_stiffness")
     if figure is None or len(figure.segments) < 2:
         return []
-    traces = []
+    traces, middles = [], []
     for number, (side, sign) in enumerate(SIDES):
-        of_side = [segment.parts[side] for segment in figure.segments.values() if side in segment.parts]
         label = side
-        for segment in of_side:
-            assert segment.interval is not None
-            at = sign * np.array(segment.interval)
-            traces.append(Trace(label, at, np.full(2, segment.value / ARCMIN), "thick", number))
-            traces += [
-                Trace("", at, np.full(2, end / ARCMIN), "dashed", number)
-                for end in (segment.value - segment.uncertainty, segment.value + segment.uncertainty)
-            ]
+        for name, segment in figure.segments.items():
+            part = segment.parts.get(side)
+            if part is None or part.interval is None:
+                continue
+            at, half = sign * np.array(part.interval), part.uncertainty
+            traces.append(Trace(label, at, np.full(2, part.value / ARCMIN), "thick", number))
+            for end in (part.value - half, part.value + half):
+                traces.append(Trace("", at, np.full(2, end / ARCMIN), "dashed", number))
+            middles.append((float(at.mean()), part.value / ARCMIN, name))
             label = ""
-    middles = [
-        (sign * 0.5 * sum(segment.interval or ()), segment.parts[side].value / ARCMIN, name)
-        for name, segment in figure.segments.items()
-        for side, sign in SIDES
-        if side in segment.parts
-    ]
     x, y, names = zip(*middles, strict=True)
     traces.append(Trace("", np.array(x), np.array(y), "points", -1, names))
     caption = "Slope of the loading branches in each torque range, mean of the loops; dashed: 95 % interval."

@@ -101,14 +101,10 @@ class OneClock:
         self._waiting = {r: [] for r in self._roles}
 
     def _flush(self, until: float, *, last: bool) -> Iterator[tuple[Table, Bytes | None]]:
-        joined: dict[str, tuple[Array, Array, Bytes]] = {
-            role: (
-                np.concatenate([p[0] for p in parts]),
-                np.concatenate([p[1] for p in parts]),
-                np.concatenate([p[2] for p in parts]),
-            )
-            for role, parts in self._waiting.items()
-        }
+        joined: dict[str, tuple[Array, Array, Bytes]] = {}
+        for role, parts in self._waiting.items():
+            columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
+            joined[role] = columns[0], columns[1], columns[2]
         alike = self._at_the_same_instants(joined, until)
         if alike is not None:
             yield alike
