@@ -134,6 +134,11 @@ class Figure:
         return {**self.parts, **between, **{Path(run).name: figure for run, figure in self.runs.items()}}
 
 
+def half_interval_of_mean(values: Sequence[float]) -> float:
+    """Return half the 95 % interval of the mean of two or more values, by their scatter and Student's t."""
+    return float(np.std(values, ddof=1)) / math.sqrt(len(values)) * float(stdtrit(len(values) - 1, 0.975))
+
+
 def pooled(figures: Sequence[Figure]) -> Figure:
     """Return the mean of a figure over several recordings, weighted by their numbers of loops."""
     if len(figures) == 1:
@@ -144,7 +149,7 @@ def pooled(figures: Sequence[Figure]) -> Figure:
     uncertainty = float(np.sqrt(np.sum((weight * [f.uncertainty for f in figures]) ** 2)))
     degrees = min(f.degrees for f in figures)
     if len(figures) > 2:
-        scatter = float(np.std(values, ddof=1)) / math.sqrt(len(figures)) * float(stdtrit(len(figures) - 1, 0.975))
+        scatter = half_interval_of_mean([f.value for f in figures])
         if scatter > uncertainty:
             uncertainty, degrees = scatter, len(figures) - 1.0
     first = figures[0]

@@ -32,7 +32,7 @@ from cycloid_fmu import edge
 from cycloid_fmu.fmu.friction_file import FORMAT as FRICTION_FILE
 from cycloid_fmu.fmu.friction_file import LIMITS
 from fitting.arguments import check_ratio, positive
-from fitting.figures.figure import Definition, Figure, figure_json
+from fitting.figures.figure import Definition, Figure, figure_json, half_interval_of_mean
 from fitting.figures.metrics import FORMAT as FIGURES
 from fitting.figures.starts import STARTS, Start, start_figures
 from fitting.readers.recording import Recording
@@ -772,11 +772,7 @@ def _of_recordings(
             alone.append(model.fit())
     if len(alone) < 3:
         return {}
-    quantile = float(stdtrit(len(alone) - 1, 0.975)) / math.sqrt(len(alone))
-    return {
-        name: quantile * float(np.std([fit.linear(weights)[0] for fit in alone], ddof=1))
-        for name, weights in sums.items()
-    }
+    return {name: half_interval_of_mean([fit.linear(weights)[0] for fit in alone]) for name, weights in sums.items()}
 
 
 def _growth_of(loop: str | os.PathLike[str]) -> Figure:

@@ -19,7 +19,7 @@ from scipy.special import stdtrit
 
 from cycloid_fmu import edge
 from cycloid_fmu.geometry.pair import LOST_MOTION_LOAD
-from fitting.figures.figure import DEFINITIONS, Figure
+from fitting.figures.figure import DEFINITIONS, Figure, half_interval_of_mean
 from fitting.transmission_error.loops import SIDES, Line, Lobe, Loop, LoopData, fit_line, residual_variance
 
 Array = NDArray[np.float64]
@@ -183,7 +183,7 @@ def mean_of_loops(values: Sequence[_Value], moved: float = 0.0) -> tuple[float, 
     count = len(values)
     uncertainty, degrees = math.sqrt(sum(variance for _, variance in values)) / count * 1.96, math.inf
     if count > 2:
-        scatter = float(np.std([v for v, _ in values], ddof=1)) / math.sqrt(count) * float(stdtrit(count - 1, 0.975))
+        scatter = half_interval_of_mean([v for v, _ in values])
         if scatter > uncertainty:
             uncertainty, degrees = scatter, count - 1.0
     return value, math.hypot(uncertainty, 1.96 * moved), degrees
