@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 _REDRAWN = 200  # spectra drawn with the noise found, for the uncertainty of a largest and a smallest value
 
 
-def angular_transmission_error(curve: Curve, orders: Spectrum, runaway: float = 0.0, *, seed: int = 0) -> Figure:
+def angular_transmission_error(curve: Curve, orders: Spectrum, runaway: float = 0.0) -> Figure:
     """Return the largest minus the smallest transmission error over one output turn of a curve.
 
     Only orders above the noise are used, because the range of noisy values is too large. The contribution of the noise
@@ -28,10 +28,8 @@ def angular_transmission_error(curve: Curve, orders: Spectrum, runaway: float = 
     runaway
         Half width of the 95 % interval, rad, of the error's drift over the recording between two clocks; the share of
         one turn is added to the uncertainty, because every turn starts again.
-    seed
-        Random seed of the noise.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     significant_part = np.where(orders.significant, orders.coefficient, 0.0)
     highest = int(np.flatnonzero(orders.significant).max(initial=1))
     points = 1 << max(10, math.ceil(math.log2(64 * highest)))

@@ -590,7 +590,7 @@ def fit_friction(
 
     if apart:
         loads = {sources[k]: float(fit.values[fit.names.index(f"offset {k}")]) for k in both}
-    sums = _sums(fit, two_ways, sign, apart, measured)
+    sums = _sums(fit, two_ways, sign, apart)
     spread = _of_recordings(stretches, fit.names, sums, apart or measured, both)
     at = math.nan if stribeck is None else stribeck[0]
     figures = _figures_of(fit, sums, spread, at, len(both), speeds, "; ".join(remarks))
@@ -734,7 +734,7 @@ def _figures_of(
     return figures
 
 
-def _sums(fit: Fit, two_ways: bool, sign: Array, apart: bool, measured: bool) -> dict[str, dict[str, float]]:
+def _sums(fit: Fit, two_ways: bool, sign: Array, apart: bool) -> dict[str, dict[str, float]]:
     """Return {figure: its weighted sum of estimates}."""
     sums: dict[str, dict[str, float]] = {}
     if not two_ways:
