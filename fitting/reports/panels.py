@@ -155,7 +155,11 @@ def panels_of(figures: Figures) -> list[Panel]:
     """
     panels = []
     if figures.curves:
-        panels.append(_curves_panel(figures.curves))
+        caption = (
+            "Mean of all turns at each angle, one curve per load and direction; the mean of each curve is subtracted. "
+            "Curves that agree cover each other; on an HTML page, click a curve's name to hide it."
+        )
+        panels.append(turn_panel(figures.curves, "Transmission error over one output turn", caption, centred=True))
         spectra = spectra_panel(figures.curves, figures.spectra, figures.pair, orders=figures.orders)
         if spectra is not None:
             panels.append(spectra)
@@ -186,20 +190,14 @@ def _lightened(panel: Panel) -> Panel:
     return dataclasses.replace(panel, traces=tuple(traces))
 
 
-def _curves_panel(curves: list[Curve]) -> Panel:
+def turn_panel(curves: Sequence[Curve], title: str, caption: str = "", *, centred: bool = False) -> Panel:
+    """Return the panel of curves over the output turn; `centred`: each without its mean."""
     traces = []
     for number, curve in enumerate(curves):
-        error = (curve.transmission_error - curve.transmission_error.mean()) * ARCSEC
+        error = (curve.transmission_error - centred * curve.transmission_error.mean()) * ARCSEC
         turn = np.degrees(curve.input_angle / abs(curve.ratio))
         traces.append(Trace(label_of(curve), turn, error, "thin", number))
-    return Panel(
-        "Transmission error over one output turn",
-        "output turn [°]",
-        "transmission error [arcsec]",
-        tuple(traces),
-        "Mean of all turns at each angle, one curve per load and direction; the mean of each curve is subtracted. "
-        "Curves that agree cover each other; on an HTML page, click a curve's name to hide it.",
-    )
+    return Panel(title, "output turn [°]", "transmission error [arcsec]", tuple(traces), caption)
 
 
 def spectra_panel(

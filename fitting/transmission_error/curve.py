@@ -130,21 +130,9 @@ class Curve:
 
     def points(self, chosen: slice | NDArray[np.int64] | NDArray[np.bool_]) -> Curve:
         """Return the curve with some of its points, without the grid and the turns before averaging."""
-        each = (
-            "input_angle",
-            "transmission_error",
-            "standard_error",
-            "sample_count",
-            "angle_variance",
-            "torque_each",
-            "speed",
-            "travel",
-            "each_turn",
-        )
-        there = {name: values for name in each if (values := getattr(self, name)) is not None}
-        return dataclasses.replace(
-            self, grid=(0, 0.0), unaveraged=None, **{n: values[..., chosen] for n, values in there.items()}
-        )
+        arrays = {f.name: v for f in dataclasses.fields(self) if isinstance(v := getattr(self, f.name), np.ndarray)}
+        part: dict[str, Any] = {name: values[..., chosen] for name, values in arrays.items()}
+        return dataclasses.replace(self, grid=(0, 0.0), unaveraged=None, **part)
 
 
 def whole_turns(angle: ArrayLike, turn: float = 2.0 * np.pi) -> Array:
