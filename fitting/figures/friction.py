@@ -490,8 +490,8 @@ class _Model:
         return fit_columns(self.columns, self.stretches)
 
 
-def _add_growth(model: _Model, measured: bool) -> bool:
-    """Add the growth of the friction with the torque of the teeth, which contains this friction; whether it can be."""
+def _add_growth(model: _Model, measured: bool) -> list[str]:
+    """Add the growth of the friction with the torque of the teeth, which contains it, or return why there is none."""
     part, name = model.stretches, "friction_per_load"
     load = part.load if measured else np.zeros(part.speed.size)
     for _ in range(_ITERATIONS):
@@ -501,8 +501,12 @@ def _add_growth(model: _Model, measured: bool) -> bool:
             carried = carried - fit.values[fit.names.index("inertia")] * part.acceleration
         model.columns.pop(name, None)
         if not model.add(name, np.sign(part.speed) * np.abs(carried)):
-            return False
-    return True
+            return []
+    value, uncertainty = model.fit().linear({name: 1.0})
+    if value > uncertainty:
+        return []
+    del model.columns[name]
+    return [f"Growth of the friction with the load is not resolved: {value:.2g} ± {uncertainty:.2g}."]
 
 
 def _stribeck(model: _Model) -> tuple[float, Fit] | None:
@@ -573,7 +577,7 @@ def fit_friction(
     turning, remarks = _add_running_terms(model)
     notes += _add_drift(model)
     if len({round(v, 9) for v in loads.values()}) > 1:
-        notes += _add_resolved_growth(model, measured)
+        notes += _add_growth(model, measured)
     stribeck = _stribeck(model) if turning else None
     fit = model.fit() if stribeck is None else stribeck[1]
     if turning and stribeck is None:
@@ -670,17 +674,6 @@ def _add_drift(model: _Model) -> list[str]:
         f"The friction drifts by {value * 60.0:.2g} N·m a minute, as while it warms up; it is that of the middle of "
         "each recording."
     ]
-
-
-def _add_resolved_growth(model: _Model, measured: bool) -> list[str]:
-    """Add the growth with load if the data resolve it; otherwise return a note."""
-    if not _add_growth(model, measured):
-        return []
-    value, uncertainty = model.fit().linear({"friction_per_load": 1.0})
-    if value > uncertainty:
-        return []
-    del model.columns["friction_per_load"]
-    return [f"Growth of the friction with the load is not resolved: {value:.2g} ± {uncertainty:.2g}."]
 
 
 def _notes_on_the_line(model: _Model) -> list[str]:
