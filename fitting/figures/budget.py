@@ -73,8 +73,7 @@ class Contribution:
     @classmethod
     def within(cls, source: str, limit: float, unit: str, sensitivity: float) -> Contribution:
         """Return the contribution of a quantity that is stated to be within ± `limit`."""
-        distribution: Distribution = "rectangular"
-        return cls(source, "B", distribution, standard_uncertainty(limit, distribution), unit, sensitivity)
+        return cls(source, "B", "rectangular", standard_uncertainty(limit, "rectangular"), unit, sensitivity)
 
 
 @dataclass(frozen=True)
