@@ -5,12 +5,25 @@ from __future__ import annotations
 import math
 import os
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from cycloid_fmu import __version__, edge
-from cycloid_fmu.draw.pages import HEADING, HTML_HEAD, MONOSPACED, made_now, text_pages
+from cycloid_fmu.draw.pages import (
+    CHARACTERS,
+    GREY,
+    HEADING,
+    HTML_HEAD,
+    MONOSPACED,
+    Line,
+    Sentences,
+    Table,
+    html_of,
+    lines_of,
+    made_now,
+    text_pages,
+)
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.studies import limits
 from cycloid_fmu.studies.sized_figures import FIGURES_HEAD, NOT_COMPUTED, Figure
@@ -22,16 +35,6 @@ if TYPE_CHECKING:
     from cycloid_fmu.studies.verdicts import Judged
 
 FORMATS = (".html", ".pdf")
-_CHARACTERS = 110  # of a line of text on a page
-_MOST_COLUMN = 34  # characters of a table's column but for the last
-
-
-class Table(NamedTuple):
-    """A table of a report: its title, the names of its columns, and its rows; the last column is text."""
-
-    title: str
-    head: Sequence[str]
-    rows: Sequence[Sequence[str]]
 
 
 class DesignReport(NamedTuple):
@@ -43,10 +46,8 @@ class DesignReport(NamedTuple):
         Its heading, and one line below.
     motion
         The drive at its rated torque, for the drawing.
-    tables
-        Figures, stresses, verdicts, materials.
-    lists
-        {heading: sentences}: what is assumed, and what is not judged.
+    parts
+        Tables of figures, stresses, verdicts and materials, and lists of what is assumed and what is not judged.
     text
         The pair file, with its comments.
     """
@@ -54,8 +55,7 @@ class DesignReport(NamedTuple):
     title: str
     facts: str
     motion: Motion
-    tables: Sequence[Table]
-    lists: Mapping[str, Sequence[str]]
+    parts: Sequence[Table | Sentences]
     text: str
 
 
@@ -101,12 +101,12 @@ def report_of(
         Verdicts on limits, if there are any.
     """
     tables = [
-        Table("Figures at rated torque", FIGURES_HEAD, [each.row() for each in figures]),
-        Table("Nominal stresses", STRESS_HEAD, [each.row() for each in stresses]),
+        _table("Figures at rated torque", FIGURES_HEAD, [each.row() for each in figures]),
+        _table("Nominal stresses", STRESS_HEAD, [each.row() for each in stresses]),
     ]
     if judged is not None:
-        tables.append(Table("Limits", limits.HEAD, [limits.row_of(each) for each in judged.verdicts]))
-    tables.append(Table("Materials", MATERIALS_HEAD, material_rows(pair)))
+        tables.append(_table("Limits", limits.HEAD, [limits.row_of(each) for each in judged.verdicts]))
+    tables.append(_table("Materials", MATERIALS_HEAD, material_rows(pair)))
     missing = [f"{each.part}, {each.kind}: {each.reason}." for each in stresses if each.reason]
     missing += [f"{each.name}: {each.basis}." for each in figures if math.isnan(each.values[0])]
     if pair.losses is None or pair.supports is None:
@@ -116,8 +116,13 @@ def report_of(
     assumed = comments_of(text)
     if pair.bodies is None and not any("rigid" in line for line in assumed):
         assumed.append("Bodies are rigid, as the file states no [bodies]; the real drive is softer.")
-    lists = {"Assumed": assumed, "Not judged": [*missing, NOT_COMPUTED]}
-    return DesignReport("Design report", f"{source}: {facts_of(pair)}", motion, tables, lists, text)
+    lists = [Sentences("Assumed", assumed, "assumed"), Sentences("Not judged", [*missing, NOT_COMPUTED], "not-judged")]
+    return DesignReport("Design report", f"{source}: {facts_of(pair)}", motion, [*tables, *lists], text)
+
+
+def _table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+    """Return a table whose last column is text."""
+    return Table(title, head, rows, styles=(*[""] * (len(head) - 1), "definition"))
 
 
 MATERIALS_HEAD = ("part", "material", "E, GPa", "yield, MPa", "fatigue, MPa", "source")
@@ -160,13 +165,8 @@ def write_design_report(report: DesignReport, path: str | os.PathLike[str]) -> N
 
 
 _BODY = """<section class="drawing">{{ drawing }}</section><p class="caption">{{ caption }}</p>
-{% for table in tables %}<h2>{{ table.title }}</h2><table><thead><tr>
-{% for h in table.head %}<th>{{ h }}</th>{% endfor %}</tr></thead><tbody>
-{% for row in table.rows %}<tr>{% for cell in row %}<td{% if loop.last %} class="definition"{% endif %}>{{ cell }}</td>
-{% endfor %}</tr>{% endfor %}</tbody></table>
-{% endfor %}{% for title, sentences in lists.items() %}<h2>{{ title }}</h2><ul>
-{% for sentence in sentences %}<li>{{ sentence }}</li>{% endfor %}</ul>
-{% endfor %}<h2>The file</h2><pre style="white-space: pre-wrap; font-size: .8em">{{ text }}</pre></body></html>
+{% for part in parts %}{{ part }}{% endfor %}
+<h2>The file</h2><pre style="white-space: pre-wrap; font-size: .8em">{{ text }}</pre></body></html>
 """
 _DRAWING = "<style>section.drawing svg { display: block; max-width: 34em; margin: auto; }</style>"
 
@@ -180,7 +180,12 @@ def _html(report: DesignReport) -> str:
 
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
     return environment.from_string(HTML_HEAD + _BODY).render(
-        **report._asdict(), drawing=Markup(_DRAWING + drive_svg(report.motion)), caption=caption_of(report.motion)
+        title=report.title,
+        facts=report.facts,
+        drawing=Markup(_DRAWING + drive_svg(report.motion)),
+        caption=caption_of(report.motion),
+        parts=[html_of(part) for part in report.parts],
+        text=report.text,
     )
 
 
@@ -195,34 +200,11 @@ def _write_pdf(report: DesignReport, path: Path) -> None:
             pdf.savefig(page)
 
 
-def _lines(report: DesignReport) -> list[tuple[str, dict[str, Any]]]:
+def _lines(report: DesignReport) -> list[Line]:
     """Return the text of a report, line by line, with the properties of each."""
-    grey = {"color": "#555555"}
-    lines: list[tuple[str, dict[str, Any]]] = [(report.title, {"fontsize": 16, "weight": "bold"})]
-    lines += [(line, grey) for line in textwrap.wrap(report.facts, _CHARACTERS)]
-    for table in report.tables:
-        lines += [("", {}), (table.title, HEADING)]
-        cells = [table.head, *table.rows]
-        widths = [min(_MOST_COLUMN, max(len(row[k]) for row in cells)) for k in range(len(table.head) - 1)]
-        for number, row in enumerate(cells):
-            columns = "  ".join(
-                textwrap.shorten(cell or " ", width, placeholder="…").ljust(width)
-                if len(cell) > width
-                else cell.ljust(width)
-                for cell, width in zip(row, widths, strict=False)
-            )
-            style = {**MONOSPACED, "weight": "bold" if number == 0 else "normal"}
-            room = _CHARACTERS - sum(widths) - 2 * len(widths)
-            if number == 0 or len(row[-1]) <= room:
-                lines.append((f"{columns}  {row[-1]}", style))
-                continue
-            lines.append((columns, style))
-            lines += [(f"    {line}", {**grey, "fontsize": 7}) for line in textwrap.wrap(row[-1], 125)]
-    for title, sentences in report.lists.items():
-        lines += [("", {}), (title, HEADING)]
-        for sentence in sentences:
-            wrapped = textwrap.wrap(sentence, _CHARACTERS, initial_indent="- ", subsequent_indent="  ")
-            lines += [(line, {}) for line in wrapped]
+    lines: list[Line] = [(report.title, {"fontsize": 16, "weight": "bold"})]
+    lines += [(line, GREY) for line in textwrap.wrap(report.facts, CHARACTERS)]
+    lines += [line for part in report.parts for line in lines_of(part)]
     lines += [("", {}), ("The file", HEADING)]
     small = {**MONOSPACED, "fontsize": 6.5}
     for line in report.text.splitlines():

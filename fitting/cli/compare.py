@@ -37,8 +37,7 @@ def compare(
     )
     with commands.status() as progress:
         comparison = fitting.compare(first, second, nominal, ratio=ratio, rated_torque=rated_torque, progress=progress)
-    if plot is not None:
-        fitting.plot(comparison, plot)
+    options.write(comparison, plot=plot)
     if as_json:
         commands.print_json(comparison_json(comparison))
         return

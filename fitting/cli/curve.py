@@ -28,34 +28,23 @@ def curve(
     import numpy as np
 
     import fitting
-    from cycloid_fmu.drive import read_drive
     from fitting.reports.panels import label_of
     from fitting.transmission_error.curve import curves_json, noise_of
 
-    options.check_ratio(drive, ratio)
-    nominal = ratio if drive is None else read_drive(drive)
+    nominal = options.drive_or_ratio(drive, ratio)
     curves = fitting.curves(fitting.read_recordings(files, mapping, read_head), nominal)
     if output is not None:
         fitting.write_curves(curves, output)
-    if plot is not None:
-        fitting.plot(curves, plot)
+    options.write(curves, plot=plot)
     if as_json:
         commands.print_json(curves_json(curves))
         return
     rows = []
     for measured in curves:
         error = measured.transmission_error * ARCSEC
-        rows.append(
-            [
-                Path(measured.source).name,
-                label_of(measured),
-                str(measured.input_angle.size),
-                f"{measured.sample_count.mean():.1f}",
-                f"{error.mean():.3f}",
-                f"{np.ptp(error):.3f}",
-                f"{noise_of(measured) * ARCSEC:.3f}",
-            ]
-        )
+        counts = [str(measured.input_angle.size), f"{measured.sample_count.mean():.1f}"]
+        angles = [f"{angle:.3f}" for angle in (error.mean(), np.ptp(error), noise_of(measured) * ARCSEC)]
+        rows.append([Path(measured.source).name, label_of(measured), *counts, *angles])
     columns = ["recording", "load", "points", "turns", "mean", "peak-peak", "noise"]
     commands.print_table("Transmission error [arcsec]", columns, rows)
     options.print_notes(note for measured in curves for note in measured.notes)

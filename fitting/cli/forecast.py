@@ -53,7 +53,6 @@ def forecast(
 
     Example: [cyan]cycloid-fit forecast history.toml --pair pair.toml --wear wear.toml --until "9000 h" --plot f.png[/]
     """
-    import fitting
     from cycloid_fmu.drive import read_drive
     from cycloid_fmu.surfaces.files import write_surface
     from cycloid_fmu.wear.law import read_wear_law
@@ -76,10 +75,7 @@ def forecast(
             source=str(history_file),
             progress=lambda share: bar.update(completed=round(100.0 * share)),
         )
-    if output is not None:
-        result.write(output)
-    if plot is not None:
-        fitting.plot(result, plot)
+    options.write(result, output=output, plot=plot)
     if as_json:
         commands.print_json(content(result))
     else:

@@ -57,38 +57,28 @@ def friction(
     Example: [cyan]cycloid-fit friction ramp.csv --mapping map.toml --speeds "0.1 rev/s, 1 rev/s" -o friction.toml[/]
     """
     import fitting
-    from cycloid_fmu.drive import read_drive
-    from fitting.figures.figure import in_field_units
+    from cycloid_fmu.drive import Drive
     from fitting.figures.friction import friction_json
 
-    options.check_ratio(drive, ratio)
-    stated_drive = None if drive is None else read_drive(drive)
-    nominal = ratio if stated_drive is None else stated_drive.ratio
+    nominal = options.drive_or_ratio(drive, ratio)
+    stated_drive = nominal if isinstance(nominal, Drive) else None
     with commands.status() as progress:
         fit = fitting.friction(
             fitting.read_recordings(files, mapping),
-            ratio=nominal,
+            ratio=ratio if stated_drive is None else stated_drive.ratio,
             loop=loop,
             progress=progress,
             speeds=commands.separated(speeds),
         )
         if stated_drive is not None and stated_drive.pair.losses is not None and stated_drive.pair.supports is not None:
             fit = _with_coefficients(fit, stated_drive, loop)
-    if plot is not None:
-        fitting.plot(fit, plot)
-    if output is not None:
-        fit.write(output)
+    options.write(fit, output=output, plot=plot)
     if as_json:
         commands.print_json(friction_json(fit))
         return
-    every = {**fit.figures, **fit.coefficients}
-    rows = [[name, *in_field_units(figure), f"{figure.count:.4g} {figure.counted}"] for name, figure in every.items()]
     low, high = fit.speeds
     title = f"Friction at the output, {low:.4g} to {high:.4g} rad/s"
-    commands.print_table(title, ["figure", "value", "± 95 %", "unit", "of"], rows)
-    for name, figure in fit.figures.items():
-        if figure.remark:
-            typer.echo(f"{name}: {figure.remark}.")
+    options.print_figures(title, {**fit.figures, **fit.coefficients})
     options.print_notes(fit.notes)
 
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cycloid_fmu.edge import ARCSEC, commands
+from cycloid_fmu.edge import commands
 from fitting.cli import options
 
 if TYPE_CHECKING:
@@ -41,9 +40,7 @@ def identify(
             "--profile", metavar="ERROR", help="Compute this error's interval by profile likelihood; repeatable."
         ),
     ] = None,
-    form: Annotated[
-        str, typer.Option(metavar='"1 um"', help="Expected form error shared by all flanks; 0 um if the form is known.")
-    ] = "1 um",
+    form: options.Form = "1 um",
     parameters: Annotated[
         Path | None,
         typer.Option(
@@ -85,16 +82,11 @@ def identify(
             progress=progress,
         )
     notes = list(result.notes)
-    if output is not None:
-        result.write(output)
+    options.write(result, output=output, plot=plot, report=report)
     if surface is not None:
         notes += options.write_drive(
             result.drive, surface, "identified" if result.bearings or result.coefficients else ""
         )
-    if plot is not None:
-        fitting.plot(result, plot)
-    if report is not None:
-        fitting.report(result, report)
     if as_json:
         commands.print_json(content(result))
         return
@@ -104,37 +96,16 @@ def identify(
 
 def _print(result: Identification) -> None:
     from fitting.estimation.realised import errors_by_pattern
+    from fitting.reports.fit_report import error_rows, held_rows, quality_of
 
     typer.echo(result.verdict.sentence)
-    rows, held = [], []
-    for p in (*result.parameters, *result.bearings, *result.coefficients):
-        factor, unit = options.FIELD_UNITS[p.unit]
-        low, high = (v * factor for v in p.interval)
-        if p.held is None:
-            interval = "withheld" if math.isnan(low) else f"{low:.3f} … {high:.3f}"
-            rows.append([p.name, f"{p.value * factor:.3f}", interval, unit])
-        else:
-            held.append([p.name, p.held])
     title = "Identified errors and bearings" if result.bearings else "Identified errors"
     title += ", friction" if result.coefficients else ""
+    rows = [row[:4] for row in error_rows(result)]
     commands.print_table(title, ["error", "identified", "95 % interval", "unit"], rows)
-    commands.print_table("Held fixed, because the data cannot resolve them", ["error", "why"], held)
-    if result.held_out is not None:
-        prediction = result.held_out
-        typer.echo(
-            f"Held out from a first fit, which predicts it: {prediction.loads}: residual "
-            f"{prediction.residual * ARCSEC:.3f}″ rms, noise {prediction.noise * ARCSEC:.3f}″."
-        )
-    scatter = ", ".join(f"{n} {v * 1e6:.2f} µm" for n, v in result.scatter.items())
-    typer.echo(
-        f"Residual {result.residual * ARCSEC:.3f}″ rms, noise {result.noise * ARCSEC:.3f}″; scatter beyond these "
-        f"errors: {scatter}."
-    )
+    commands.print_table("Held fixed, because the data cannot resolve them", ["error", "why"], held_rows(result))
+    for sentence in quality_of(result):
+        typer.echo(sentence)
     each = errors_by_pattern(result.pair, result.realised.covariance)
     known = ", ".join(f"{n} {error * 1e6:.3f} µm" for n, error in each.items())
     typer.echo(f"Standard errors of every pin and tooth of this ring, which --output and --report state: {known}.")
-    for loop in result.loops:
-        typer.echo(
-            f"{Path(loop.source).name}: play at the crank angle {math.degrees(loop.crank_angle):.1f}°: "
-            f"{loop.play * ARCSEC:.2f} ± {1.96 * loop.standard_error * ARCSEC:.2f}″ from the identified errors."
-        )

@@ -30,10 +30,7 @@ def inspect(
     from fitting.readers.inspection import inspection_json
 
     inspection = fitting.inspect(file, dbc)
-    if output is not None:
-        inspection.write(output)
-    if plot is not None:
-        fitting.plot(inspection, plot)
+    options.write(inspection, output=output, plot=plot)
     if as_json:
         commands.print_json(inspection_json(inspection))
         return
@@ -42,16 +39,10 @@ def inspect(
         for run in inspection.runs:
             roles[run.output_angle.channel.name] = "output_angle"
             roles[run.transmission_error.channel.name] = f"transmission_error, {run.name}"
-    rows = [
-        [
-            o.channel.name,
-            o.channel.unit,
-            str(o.values.size),
-            *(f"{value:.6g}" for value in o.extremes),
-            roles.get(o.channel.name, ""),
-        ]
-        for o in inspection.looks
-    ]
+    rows = []
+    for look in inspection.looks:
+        name, extremes = look.channel.name, [f"{value:.6g}" for value in look.extremes]
+        rows.append([name, look.channel.unit, str(look.values.size), *extremes, roles.get(name, "")])
     rows += [[name, "", "", "", "", "(text)"] for name in inspection.file.texts]
     commands.print_table(file.name, ["channel", "unit", "samples", "smallest", "largest", "proposed as"], rows)
     if max(look.values.size for look in inspection.looks) >= INSPECTED:

@@ -30,20 +30,15 @@ def maps(
     Example: [cyan]cycloid-fit maps campaign/*.csv --mapping map.toml -o maps.nc --report maps.html[/]
     """
     import fitting
-    from cycloid_fmu.drive import read_drive
     from fitting.figures.maps import write_maps
 
-    options.check_ratio(drive, ratio)
+    nominal = options.drive_or_ratio(drive, ratio)
     options.check_report(report)
-    nominal = ratio if drive is None else read_drive(drive)
     with commands.status() as progress:
         dataset = fitting.maps(fitting.read_recordings(files, mapping), nominal, progress=progress)
     if output is not None:
         write_maps(dataset, output)
-    if report is not None:
-        fitting.report(dataset, report)
-    if plot is not None:
-        fitting.plot(dataset, plot)
+    options.write(dataset, plot=plot, report=report)
     notes = [n for n in dataset.attrs["notes"].split("\n") if n]
     if as_json:
         numbers = {str(name): values.values for name, values in {**dataset.coords, **dataset.data_vars}.items()}

@@ -27,23 +27,14 @@ def metrics(
 
     Example: [cyan]cycloid-fit metrics loop.csv *.arrows --ratio -39 --rated-torque "167 N*m"[/]
     """
-    import fitting
-    from cycloid_fmu.drive import read_drive
-
-    nominal = None if drive is None else read_drive(drive)
-    recordings = fitting.read_recordings(files, mapping)
-    with commands.status() as progress:
-        figures = fitting.metrics(
-            recordings,
-            nominal,
-            ratio=ratio,
-            rated_torque=rated_torque,
-            instruments=instruments,
-            progress=progress,
-            stiffness_limits=commands.separated(stiffness_limits),
-        )
-    if plot is not None:
-        fitting.plot(figures, plot)
-    if output is not None:
-        figures.write(output)
+    figures = options.figures_of(
+        files,
+        drive,
+        mapping,
+        ratio=ratio,
+        rated_torque=rated_torque,
+        instruments=instruments,
+        stiffness_limits=commands.separated(stiffness_limits),
+    )
+    options.write(figures, output=output, plot=plot)
     options.finish(figures, as_json=as_json)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -13,6 +13,7 @@ from cycloid_fmu.edge import commands
 
 if TYPE_CHECKING:
     from cycloid_fmu.drive import Drive
+    from fitting.figures.figure import Figure
     from fitting.figures.metrics import Figures
 
 Recordings = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings in any supported format.")]
@@ -40,6 +41,9 @@ StiffnessLimits = Annotated[
         help='Torque limits of the stiffness ranges K1, K2, ..., such as "5 N*m, 25 N*m, 80 N*m, 167 N*m".',
     ),
 ]
+Form = Annotated[
+    str, typer.Option(metavar="LENGTH", help="Expected form error shared by all flanks; 0 um if the form is known.")
+]
 MappingFiles = Annotated[
     list[Path] | None,
     typer.Option(
@@ -48,7 +52,6 @@ MappingFiles = Annotated[
         help="Mapping of the channels, see inspect; repeatable: each file takes the one whose columns it has.",
     ),
 ]
-FIELD_UNITS = {"m": (1e6, "µm"), "rad": (1e3, "mrad"), "1": (1.0, "of the stated")}
 
 
 def check_report(target: Path | None) -> None:
@@ -59,10 +62,38 @@ def check_report(target: Path | None) -> None:
         script()
 
 
-def check_ratio(pair: Path | None, ratio: float | None) -> None:
-    """Refuse --pair together with --ratio."""
-    if pair is not None and ratio is not None:
+def drive_or_ratio(pair: Path | None, ratio: float | None) -> Drive | float | None:
+    """Return the drive of --pair, or the ratio of --ratio, or None; refuse both."""
+    from cycloid_fmu.drive import read_drive
+
+    if pair is None:
+        return ratio
+    if ratio is not None:
         raise edge.InputError("--pair and --ratio: give one of the two; the pair states its ratio.")
+    return read_drive(pair)
+
+
+def figures_of(files: list[Path], pair: Path | None, mapping: list[Path] | None, **settings: Any) -> Figures:
+    """Return the figures of recordings, with the settings of `fitting.metrics`."""
+    import fitting
+    from cycloid_fmu.drive import read_drive
+
+    drive = None if pair is None else read_drive(pair)
+    recordings = fitting.read_recordings(files, mapping)
+    with commands.status() as progress:
+        return fitting.metrics(recordings, drive, progress=progress, **settings)
+
+
+def write(result: Any, *, output: Path | None = None, plot: Path | None = None, report: Path | None = None) -> None:
+    """Write the files of a result that the options of a command name: itself, its picture and its report."""
+    import fitting
+
+    if output is not None:
+        result.write(output)
+    if plot is not None:
+        fitting.plot(result, plot)
+    if report is not None:
+        fitting.report(result, report)
 
 
 def write_drive(drive: Drive, surface: Path, bearings: str) -> list[str]:
@@ -86,6 +117,20 @@ def print_notes(notes: Iterable[str]) -> None:
         typer.echo(note, err=True)
 
 
+def print_figures(title: str, figures: Mapping[str, Figure]) -> None:
+    """Print a table of figures with their parts, and the remarks on them."""
+    from fitting.figures.figure import in_field_units
+
+    rows = []
+    for name, figure in figures.items():
+        for label, shown in {name: figure, **{f"  {part}": of for part, of in figure.shown.items()}}.items():
+            rows.append([label, *in_field_units(shown), f"{shown.count:.4g} {shown.counted}"])
+    commands.print_table(title, ["figure", "value", "± 95 %", "unit", "of"], rows)
+    for name, figure in figures.items():
+        if figure.remark:
+            typer.echo(f"{name}: {figure.remark}.")
+
+
 def finish(figures: Figures, *, as_json: bool) -> None:
     """Print figures and notes for people, or the figures for scripts; exit with their status."""
     from fitting.figures.budget import BUDGET_HEAD, budget_rows
@@ -94,17 +139,10 @@ def finish(figures: Figures, *, as_json: bool) -> None:
     from fitting.figures.metrics import figures_json
     from fitting.figures.orders import ORDERS_HEAD, order_rows
 
-    rows, remarks = [], []
-    for name, figure in figures.shown.items():
-        remarks += [f"{name}: {figure.remark}."] if figure.remark else []
-        for label, shown in [(name, figure), *((f"  {part}", shown) for part, shown in figure.shown.items())]:
-            rows.append([label, *in_field_units(shown), f"{shown.count:.4g} {shown.counted}"])
     if as_json:
         commands.print_json(figures_json(figures))
-    elif rows:
-        commands.print_table("Figures", ["figure", "value", "± 95 %", "unit", "of"], rows)
-        for remark in remarks:
-            typer.echo(remark)
+    elif figures.shown:
+        print_figures("Figures", figures.shown)
         if len(figures.loop_groups) > 1:
             commands.print_table("Loops by size and position", GROUPS_HEAD, group_rows(figures.loop_groups))
         if figures.play_range is not None:

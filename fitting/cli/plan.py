@@ -50,9 +50,7 @@ def plan(
             metavar='"0.3 um"',
         ),
     ] = 0.3e-6,
-    form: Annotated[
-        str, typer.Option(metavar='"1 um"', help="Expected form error shared by all flanks; 0 um if the form is known.")
-    ] = "1 um",
+    form: options.Form = "1 um",
     as_json: commands.AsJson = False,
 ) -> None:
     """Predict before a measurement which errors each set of loads and directions identifies, and how accurately.
@@ -75,8 +73,7 @@ def plan(
         form=form,
         loop=loop,
     )
-    if plot is not None:
-        fitting.plot(plans, plot)
+    options.write(plans, plot=plot)
     if as_json:
         commands.print_json([dataclasses.asdict(p) for p in plans])
     else:
@@ -85,10 +82,11 @@ def plan(
 
 def _print(plans: Sequence[Plan]) -> None:
     from cycloid_fmu.surfaces.structured import unit_of
+    from fitting.reports.fit_report import FIELD_UNITS
 
     rows = []
     for name in [*plans[-1].standard_error, *plans[-1].held]:
-        factor, unit = options.FIELD_UNITS[unit_of(name)]
+        factor, unit = FIELD_UNITS[unit_of(name)]
         known = [f"{p.standard_error[name] * factor:.3f}" if name in p.standard_error else "–" for p in plans]
         rows.append([f"{name} [{unit}]", *known])
     for name in plans[-1].realised:

@@ -96,8 +96,7 @@ def recalibrate(
         if bits is None:
             raise edge.InputError("--plan needs --bits: the resolution of the output encoder.")
         visits = plan_visit(last, plan, crank_turns=crank_turns, bits=bits, wanted=wanted, mark=mark, drift=drift)
-        if plot is not None:
-            fitting.plot(visits, plot)
+        options.write(visits, plot=plot)
         if as_json:
             commands.print_json([vars(visit) for visit in visits])
         else:
@@ -119,8 +118,7 @@ def recalibrate(
     if surface is not None:
         has_bearings = result.drive.pair.supports is not None or result.drive.first_stage is not None
         notes += options.write_drive(result.drive, surface, "updated" if has_bearings else "")
-    if plot is not None:
-        fitting.plot(result, plot)
+    options.write(result, plot=plot)
     if as_json:
         commands.print_json(content(result))
     else:

@@ -33,20 +33,16 @@ def report(
     Example: [cyan]cycloid-fit report loop.csv *.arrows --pair pair.toml -o report.html[/]
     """
     import fitting
-    from cycloid_fmu.drive import read_drive
 
     options.check_report(output)
-    nominal = None if drive is None else read_drive(drive)
-    recordings = fitting.read_recordings(files, mapping)
-    with commands.status() as progress:
-        figures = fitting.metrics(
-            recordings,
-            nominal,
-            ratio=ratio,
-            rated_torque=rated_torque,
-            instruments=instruments,
-            progress=progress,
-            stiffness_limits=commands.separated(stiffness_limits),
-        )
+    figures = options.figures_of(
+        files,
+        drive,
+        mapping,
+        ratio=ratio,
+        rated_torque=rated_torque,
+        instruments=instruments,
+        stiffness_limits=commands.separated(stiffness_limits),
+    )
     fitting.report(figures, output, certificate=certificate)
     options.finish(figures, as_json=as_json)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.figures.figure import DEFINITIONS, UNITS, Figure
+from fitting.figures.figure import DEFINITIONS, Figure
 from fitting.transmission_error.curve import Curve
 from fitting.transmission_error.spectrum import Spectrum, range_of, significant
 
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 _REDRAWN = 200  # spectra drawn with the noise found, for the uncertainty of a largest and a smallest value
 
 
-def angular_transmission_error(curve: Curve, orders: Spectrum, runaway: float = 0.0, *, seed: int = 0) -> Figure:
+def angular_transmission_error(curve: Curve, orders: Spectrum, runaway: float = 0.0) -> Figure:
     """Return the largest minus the smallest transmission error over one output turn of a curve.
 
     Only orders above the noise are used, because the range of noisy values is too large. The contribution of the noise
@@ -28,10 +28,8 @@ def angular_transmission_error(curve: Curve, orders: Spectrum, runaway: float = 
     runaway
         Half width of the 95 % interval, rad, of the error's drift over the recording between two clocks; the share of
         one turn is added to the uncertainty, because every turn starts again.
-    seed
-        Random seed of the noise.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     significant_part = np.where(orders.significant, orders.coefficient, 0.0)
     highest = int(np.flatnonzero(orders.significant).max(initial=1))
     points = 1 << max(10, math.ceil(math.log2(64 * highest)))
@@ -46,14 +44,5 @@ def angular_transmission_error(curve: Curve, orders: Spectrum, runaway: float = 
         drawn[begin : begin + rows] = range_of(np.where(out, noisy, 0.0), points)
     bias = float(drawn.mean()) - largest_range
     uncertainty = math.hypot(1.96 * float(drawn.std(ddof=1)), runaway / max(curve.turns, 1.0))
-    name = "angular_transmission_error"
-    return Figure(
-        max(largest_range - bias, 0.0),
-        uncertainty,
-        UNITS[name],
-        DEFINITIONS[name],
-        (0.0, 2.0 * math.pi),
-        "rad",
-        curve.turns,
-        "turns",
-    )
+    definition, interval = DEFINITIONS["angular_transmission_error"], (0.0, 2.0 * math.pi)
+    return Figure(max(largest_range - bias, 0.0), uncertainty, *definition, interval, "rad", curve.turns, "turns")

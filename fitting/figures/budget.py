@@ -18,7 +18,7 @@ from scipy.special import stdtrit
 from cycloid_fmu import edge
 from fitting.figures.figure import Figure, pooled
 from fitting.figures.hysteresis import loop_figures
-from fitting.figures.instruments import Encoder, Instruments, TorqueSensor, standard_uncertainty
+from fitting.figures.instruments import Distribution, Encoder, Instruments, TorqueSensor, standard_uncertainty
 from fitting.transmission_error.loops import Lobe, LoopData, find_loops
 from fitting.transmission_error.spectrum import RIG_ORDERS, Spectrum, range_of, run_label, without_orders
 from fitting.transmission_error.survey import Surveyed
@@ -69,6 +69,11 @@ class Contribution:
     def contribution(self) -> float:
         """|c| u(x), in the figure's unit."""
         return abs(self.sensitivity) * self.standard_uncertainty
+
+    @classmethod
+    def within(cls, source: str, limit: float, unit: str, sensitivity: float) -> Contribution:
+        """Return the contribution of a quantity that is stated to be within ± `limit`."""
+        return cls(source, "B", "rectangular", standard_uncertainty(limit, "rectangular"), unit, sensitivity)
 
 
 @dataclass(frozen=True)
@@ -134,21 +139,14 @@ class _Wave:
 def _waves(encoder: Encoder | None, name: str) -> list[_Wave]:
     if encoder is None:
         return []
+    errors: tuple[tuple[str, float, Distribution, int], ...] = (
+        ("accuracy", encoder.accuracy, encoder.distribution, 1),
+        ("run-out", encoder.run_out, "arcsine", 1),
+        ("subdivision", encoder.subdivision, "arcsine", encoder.periods_per_turn or 1),
+    )
     waves = [
-        _Wave(
-            f"{name}, accuracy",
-            encoder.distribution,
-            standard_uncertainty(encoder.accuracy, encoder.distribution),
-            1,
-            True,
-        ),
-        _Wave(f"{name}, run-out", "arcsine", standard_uncertainty(encoder.run_out, "arcsine"), 1),
-        _Wave(
-            f"{name}, subdivision",
-            "arcsine",
-            standard_uncertainty(encoder.subdivision, "arcsine"),
-            encoder.periods_per_turn or 1,
-        ),
+        _Wave(f"{name}, {error}", kind, standard_uncertainty(limit, kind), order, error == "accuracy")
+        for error, limit, kind, order in errors
     ]
     return [wave for wave in waves if wave.standard > 0.0]
 
@@ -192,17 +190,11 @@ def _of_loops(surveyed: Sequence[Surveyed], instruments: Instruments, ratio: flo
     if not data:
         return {}
     nominal = _loop_values(data)
-    contributions: _ByFigure = {name: [] for name in nominal}
-    parts = [
-        _of_loop_encoder("output", instruments.output_encoder, 1.0, data, angles, nominal),
-        _of_loop_torque(instruments.torque_sensor, data, nominal),
-    ]
+    parts = [_of_loop_encoder("output", instruments.output_encoder, 1.0, data, angles, nominal)]
     if ratio is not None:
-        parts.insert(1, _of_loop_encoder("input", instruments.input_encoder, -1.0 / ratio, data, angles, nominal))
-    for part in parts:
-        for name, rows in part.items():
-            contributions[name] += rows
-    return contributions
+        parts.append(_of_loop_encoder("input", instruments.input_encoder, -1.0 / ratio, data, angles, nominal))
+    parts.append(_of_loop_torque(instruments.torque_sensor, data, nominal))
+    return {name: [row for part in parts for row in part[name]] for name in nominal}
 
 
 def _sensitivities(
@@ -239,13 +231,11 @@ def _of_loop_encoder(
             rows[name].append(Contribution(wave.source, "B", wave.distribution, wave.standard, "rad", sensitivity))
     if encoder is not None and encoder.resolution > 0.0:
         rated = max(loops.rated_torque for loops in data)
-        half_step = standard_uncertainty(0.5 * encoder.resolution, "rectangular")
         for name, value in nominal.items():
-            readings = _READINGS.get(name)
-            if readings is None:  # stiffness: torque over the difference of two readings, mean of two sides
-                readings = value**2 / (0.5 * rated)
+            # Stiffness: torque over the difference of two readings, mean of two sides.
+            readings = abs(scale) * _READINGS.get(name, value**2 / (0.5 * rated))
             source = f"{shaft} encoder, resolution"
-            rows[name].append(Contribution(source, "B", "rectangular", half_step, "rad", abs(scale) * readings))
+            rows[name].append(Contribution.within(source, 0.5 * encoder.resolution, "rad", readings))
     return rows
 
 
@@ -255,19 +245,19 @@ def _of_loop_torque(sensor: TorqueSensor | None, data: Sequence[LoopData], nomin
     if sensor is None:
         return rows
     rated = max(loops.rated_torque for loops in data)
-    at_rated = standard_uncertainty(0.01 * sensor.accuracy_class * sensor.range, "rectangular")
-    zero = standard_uncertainty(sensor.zero, "rectangular")
-    for source, standard, gain, offset in (
-        (f"torque sensor, class {sensor.accuracy_class:g}", at_rated, 1.0 / rated, 0.0),
-        ("torque sensor, zero", zero, 0.0, 1.0),
-    ):
-        if standard > 0.0:
+    for (source, limit), (gain, offset) in zip(_torque_errors(sensor), ((1.0 / rated, 0.0), (0.0, 1.0)), strict=True):
+        if limit > 0.0:
             # With a smaller step, the effect of noisy samples entering or leaving an interval would dominate.
-            by = max(standard, _TORQUE_STEP * rated)
+            by = max(standard_uncertainty(limit, "rectangular"), _TORQUE_STEP * rated)
             more = [dataclasses.replace(loops, torque=loops.torque * (1.0 + gain * by) + offset * by) for loops in data]
             for name, sensitivity in _sensitivities(nominal, [more], by):
-                rows[name].append(Contribution(source, "B", "rectangular", standard, "N*m", sensitivity))
+                rows[name].append(Contribution.within(f"torque sensor, {source}", limit, "N*m", sensitivity))
     return rows
+
+
+def _torque_errors(sensor: TorqueSensor) -> list[tuple[str, float]]:
+    """Return the sources of a torque sensor's errors with their limits, N·m: the class, at its range, and the zero."""
+    return [(f"class {sensor.accuracy_class:g}", 0.01 * sensor.accuracy_class * sensor.range), ("zero", sensor.zero)]
 
 
 def _of_orders(
@@ -308,12 +298,8 @@ def _of_orders(
                 Contribution(wave.source, "B", wave.distribution, wave.standard, "rad", moved / wave.standard)
             )
         if encoder is not None and encoder.resolution > 0.0:
-            step_size = standard_uncertainty(0.5 * encoder.resolution, "rectangular")
-            contributions.append(
-                Contribution(
-                    f"{shaft} encoder, resolution", "B", "rectangular", step_size, "rad", scale * _READINGS[name]
-                )
-            )
+            source, readings = f"{shaft} encoder, resolution", scale * _READINGS[name]
+            contributions.append(Contribution.within(source, 0.5 * encoder.resolution, "rad", readings))
     return contributions
 
 
@@ -322,20 +308,12 @@ def _of_start(name: str, figure: Figure, sensor: TorqueSensor | None) -> list[Co
     if sensor is None:
         return []
     where = "torque sensor" if name == "back_driving_torque" else "input torque sensor"
-    share = standard_uncertainty(0.01 * sensor.accuracy_class * sensor.range, "rectangular")
-    zero = standard_uncertainty(sensor.zero, "rectangular")
-    rows = [
-        Contribution(
-            f"{where}, class {sensor.accuracy_class:g}",
-            "B",
-            "rectangular",
-            share,
-            "N*m",
-            min(1.0, abs(figure.value) / sensor.range),
-        ),
-        Contribution(f"{where}, zero", "B", "rectangular", zero, "N*m", 1.0),
+    sensitivities = (min(1.0, abs(figure.value) / sensor.range), 1.0)
+    return [
+        Contribution.within(f"{where}, {source}", limit, "N*m", sensitivity)
+        for (source, limit), sensitivity in zip(_torque_errors(sensor), sensitivities, strict=True)
+        if limit > 0.0
     ]
-    return [row for row in rows if row.standard_uncertainty > 0.0]
 
 
 def budgets_of(
@@ -371,17 +349,9 @@ def budgets_of(
         if not math.isfinite(figure.uncertainty):
             continue
         repeated = figure.uncertainty / student(figure.degrees)
-        rows = [
-            Contribution(
-                f"repeatability, {figure.count:.4g} {figure.counted}",
-                "A",
-                "t" if figure.degrees < 1e6 else "normal",
-                repeated,
-                figure.unit,
-                1.0,
-                figure.degrees,
-            )
-        ]
+        source = f"repeatability, {figure.count:.4g} {figure.counted}"
+        distribution = "t" if figure.degrees < 1e6 else "normal"
+        rows = [Contribution(source, "A", distribution, repeated, figure.unit, 1.0, figure.degrees)]
         rows += loops.get(name, [])
         if figure.runs:
             rows += _of_orders(name, figure, surveyed, spectra, instruments)
@@ -391,16 +361,7 @@ def budgets_of(
             rows += _of_start(name, figure, instruments.torque_sensor)
         warm = instruments.thermometer
         if warm is not None and warm.coefficient(name) and warm.limit > 0.0:
-            rows.append(
-                Contribution(
-                    "temperature",
-                    "B",
-                    "rectangular",
-                    standard_uncertainty(warm.limit, "rectangular"),
-                    "K",
-                    warm.coefficient(name),
-                )
-            )
+            rows.append(Contribution.within("temperature", warm.limit, "K", warm.coefficient(name)))
         budgets[name] = Budget(name, figure.value, figure.unit, tuple(rows))
     return budgets
 
@@ -411,22 +372,15 @@ def budget_json(budget: Budget) -> dict[str, Any]:
     def finite(degrees: float) -> float | None:
         return degrees if math.isfinite(degrees) else None
 
+    same = ("source", "distribution", "standard_uncertainty", "unit", "sensitivity", "contribution")
     return {
         "combined_standard_uncertainty": budget.standard_uncertainty,
         "degrees_of_freedom": finite(budget.degrees),
         "coverage_factor": budget.coverage_factor,
         "expanded_uncertainty": budget.expanded,
         "contributions": [
-            {
-                "source": contribution.source,
-                "type": contribution.kind,
-                "distribution": contribution.distribution,
-                "standard_uncertainty": contribution.standard_uncertainty,
-                "unit": contribution.unit,
-                "sensitivity": contribution.sensitivity,
-                "contribution": contribution.contribution,
-                "degrees_of_freedom": finite(contribution.degrees),
-            }
+            {name: getattr(contribution, name) for name in same}
+            | {"type": contribution.kind, "degrees_of_freedom": finite(contribution.degrees)}
             for contribution in budget.contributions
         ],
     }
@@ -466,20 +420,9 @@ def budget_rows(budget: Budget) -> list[list[str]]:
                 degrees(contribution.degrees),
             ]
         )
-    rows.append(
-        ["combined", "", "", "", "", f"{budget.standard_uncertainty * factor:.3g} {unit}", degrees(budget.degrees)]
-    )
-    rows.append(
-        [
-            f"expanded, k = {budget.coverage_factor:.2f} (95 %)",
-            "",
-            "",
-            "",
-            "",
-            f"{budget.expanded * factor:.3g} {unit}",
-            "",
-        ]
-    )
+    combined, expanded = (f"{value * factor:.3g} {unit}" for value in (budget.standard_uncertainty, budget.expanded))
+    rows.append(["combined", "", "", "", "", combined, degrees(budget.degrees)])
+    rows.append([f"expanded, k = {budget.coverage_factor:.2f} (95 %)", "", "", "", "", expanded, ""])
     return rows
 
 

@@ -49,14 +49,6 @@ _SPEEDS, _LOADS = 4, 5  # of the grid that is predicted
 _ITERATIONS, _CLOSE = 8, 1e-4
 
 
-@dataclasses.dataclass(frozen=True)
-class _Predicted:
-    """Torque of each stretch and its derivatives by the coefficients, N·m."""
-
-    torque: Array
-    by: dict[str, Array]
-
-
 def loss_coefficients(fit: FrictionFit, drive: DriveValue, loop: str | os.PathLike[str] | None = None) -> FrictionFit:
     """Return a fit of friction with the coefficients of a drive's [losses] that its runs can tell apart.
 
@@ -115,8 +107,8 @@ def _coefficients(fit: FrictionFit, drive: DriveValue) -> tuple[dict[str, Figure
     load, measured = _loads_of(fit, stretches)
     others = {} if measured else _offsets(fit, stretches)
     others |= {name: torque[used] for name, torque in fit.removed.items() if torque[used].any()}
-    predicted = _predict(drive, stretches, load, measured)
-    chosen, alike = _told_apart(predicted.by, list(others.values()), drive)
+    _, by = _predict(drive, stretches, load, measured)
+    chosen, alike = _separable(by, list(others.values()), drive)
     notes = [
         f"{name} acts like {edge.listed(chosen)} in these runs and is held as stated, {_value(drive, name):g}."
         for name in alike
@@ -184,8 +176,11 @@ def _grid(values: Array, most: int) -> Array:
     return np.unique([*places, 0.0]) if low < 0.0 < high else np.asarray(places)
 
 
-def _predict(drive: DriveValue, stretches: Stretches, load: Array, measured: bool) -> _Predicted:
-    """Return what the drive's friction makes of the runs, by interpolation over loads and speeds."""
+def _predict(drive: DriveValue, stretches: Stretches, load: Array, measured: bool) -> tuple[Array, dict[str, Array]]:
+    """Return the torque of each stretch by the drive's friction, and its derivatives by the coefficients, N·m.
+
+    By interpolation over loads and speeds.
+    """
     ratio, angle = drive.ratio, np.linspace(0.0, 2.0 * np.pi, _ANGLES, endpoint=False)
     torque, by = np.empty(load.size), dict[str, Array]()
     for sign in np.unique(np.sign(stretches.speed)):
@@ -208,7 +203,7 @@ def _predict(drive: DriveValue, stretches: Stretches, load: Array, measured: boo
             values = np.array([[ratio * each.get(name, 0.0) for each in row] for row in rows])
             target = torque if name == "" else by.setdefault(name, np.zeros(load.size))
             target[here] = RegularGridInterpolator((speeds, loads), values)(at)
-    return _Predicted(torque + load if measured else torque, by)
+    return torque + load if measured else torque, by
 
 
 def _slopes(drive: DriveValue, rubbed: Rubbed, load: int) -> dict[str, float]:
@@ -223,7 +218,7 @@ def _slopes(drive: DriveValue, rubbed: Rubbed, load: int) -> dict[str, float]:
         return {}
 
 
-def _told_apart(by: Mapping[str, Array], others: Sequence[Array], drive: DriveValue) -> tuple[list[str], list[str]]:
+def _separable(by: Mapping[str, Array], others: Sequence[Array], drive: DriveValue) -> tuple[list[str], list[str]]:
     """Return the coefficients whose columns differ from each other's, at most three, and those that act like them."""
     chosen, alike = list[str](), list[str]()
     stated = [name for name in ORDER if name in by and _is_stated(drive, name)]
@@ -269,10 +264,10 @@ def _fitted(
     """Return the fit of the runs by coefficients, from given values of them, and the coefficients."""
     now = dict(values)
     for _ in range(_ITERATIONS):
-        predicted = _predict(with_coefficients(drive, now), stretches, load, measured)
-        linear = sum((max(now[name], 0.0) * predicted.by[name] for name in now), np.zeros(load.size))
-        residual = dataclasses.replace(stretches, torque=stretches.torque - predicted.torque + linear)
-        result = fit_columns({**{name: predicted.by[name] for name in now}, **others}, residual)
+        predicted, by = _predict(with_coefficients(drive, now), stretches, load, measured)
+        linear = sum((max(now[name], 0.0) * by[name] for name in now), np.zeros(load.size))
+        residual = dataclasses.replace(stretches, torque=stretches.torque - predicted + linear)
+        result = fit_columns({**{name: by[name] for name in now}, **others}, residual)
         before, now = now, {name: float(result.values[result.names.index(name)]) for name in now}
         if all(abs(now[name] - before[name]) <= _CLOSE * abs(now[name]) for name in now):
             break

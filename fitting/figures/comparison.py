@@ -155,20 +155,13 @@ def _interval(figure: Figure) -> str:
 
 def comparison_json(comparison: Comparison) -> dict[str, Any]:
     """Return a comparison as JSON data for scripts, SI."""
-    return {
-        **{
-            c.name: {
-                "before": c.before.value,
-                "after": c.after.value,
-                "difference": c.difference,
-                "uncertainty": c.uncertainty,
-                "unit": c.before.unit,
-                "moved": c.moved,
-            }
-            for c in comparison.changes
-        },
-        "notes": list(comparison.notes),
+    same = ("difference", "uncertainty", "moved")
+    changes = {
+        c.name: {"before": c.before.value, "after": c.after.value, "unit": c.before.unit}
+        | {name: getattr(c, name) for name in same}
+        for c in comparison.changes
     }
+    return {**changes, "notes": list(comparison.notes)}
 
 
 def read_figures(path: str | os.PathLike[str]) -> dict[str, Figure]:
@@ -198,19 +191,7 @@ def _figure(data: dict[str, Any]) -> Figure:
     counted = next(c for c in (*_COUNTED, None) if c is None or c in data)
     if counted is None:
         raise KeyError(" or ".join(_COUNTED))
-    known = {
-        "value",
-        "uncertainty",
-        "unit",
-        "definition",
-        "interval",
-        "interval_unit",
-        "runs",
-        "segments",
-        "budget",
-        "remark",
-        counted,
-    }
+    known = {"budget", counted, *(field.name for field in dataclasses.fields(Figure))}
     return Figure(
         value=float(data["value"]),
         uncertainty=math.nan if data["uncertainty"] is None else float(data["uncertainty"]),

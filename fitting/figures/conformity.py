@@ -11,7 +11,7 @@ from typing import Any, Literal, Self
 import pydantic
 
 from cycloid_fmu import edge
-from fitting.figures.figure import UNITS
+from fitting.figures.figure import unit_of_figure
 from fitting.figures.metrics import Figures
 
 FORMAT = "cycloid-certificate/1"
@@ -109,10 +109,9 @@ class Certificate(edge.Config):
     @classmethod
     def _of_figures(cls, given: dict[str, Limit]) -> dict[str, Limit]:
         for name, limit in given.items():
-            if name not in UNITS:
-                raise ValueError(f"{name} is not a figure; the figures are {', '.join(UNITS)}")
+            unit = unit_of_figure(name)
             try:
-                low, high = limit.bounds(UNITS[name])
+                low, high = limit.bounds(unit)
             except ValueError as problem:
                 raise ValueError(f"{name}: {problem}") from None
             if low > high:
@@ -172,7 +171,7 @@ class Decision:
     low, high
         Limits, SI; infinite if there is none.
     verdict
-        Verdict under the certificate's decision rule; a missing figure is undecided.
+        Verdict under the certificate's decision rule; a missing figure is undecided; "" without limits.
     """
 
     figure: str
@@ -180,21 +179,21 @@ class Decision:
     value: float
     expanded: float
     coverage_factor: float
-    low: float
-    high: float
-    verdict: Verdict
+    low: float = -math.inf
+    high: float = math.inf
+    verdict: Verdict | Literal[""] = ""
 
 
 def decisions_of(figures: Figures, certificate: Certificate) -> list[Decision]:
     """Return the decision on each figure that has a limit, with the expanded uncertainty of its budget."""
     decisions = []
     for name, limit in certificate.limits.items():
-        low, high = limit.bounds(UNITS[name])
+        low, high = limit.bounds(unit_of_figure(name))
         figure, budget = figures.figures.get(name), figures.budgets.get(name)
         value = math.nan if figure is None else figure.value
         expanded, factor = (math.nan, math.nan) if budget is None else (budget.expanded, budget.coverage_factor)
         verdict = decide(value, expanded, low, high, certificate.decision_rule)
-        decisions.append(Decision(name, UNITS[name], value, expanded, factor, low, high, verdict))
+        decisions.append(Decision(name, unit_of_figure(name), value, expanded, factor, low, high, verdict))
     return decisions
 
 

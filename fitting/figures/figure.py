@@ -2,47 +2,81 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import stdtrit
 
 from cycloid_fmu.geometry.pair import LOST_MOTION
 
+
+class Definition(NamedTuple):
+    """What a figure is: SI unit, and definition in words."""
+
+    unit: str
+    text: str
+
+
 DEFINITIONS = {
-    "hysteresis_loss": "distance of the two unloading branches, each extrapolated to zero torque by a straight line "
-    "over the interval on its own side (Nabtesco)",
-    "backlash": "hysteresis loss minus twice the dry friction torque over the stiffness: minus the mean distance of "
-    "loading and unloading branch at ±50 % of the rated torque",
-    "lost_motion": f"{LOST_MOTION}, mean of loading and unloading branch (Nabtesco)",
-    "torsional_stiffness": "torque over windup along the loading branches in the interval, mean of both sides",
-    "loading_stiffness": "rise of the torque over that of the windup between the ends of the interval, loading "
-    "branches, mean of both sides; friction that grows with load is part of it",
-    "starting_torque": "largest torque on the input, the output without load, from a standstill until the crank has "
-    "turned 1 degree, mean of the starts (no-load starting torque)",
-    "back_driving_torque": "largest torque on the output, while it drives, from a standstill until the crank has "
-    "turned 1 degree, mean of the starts (overhauling starting torque)",
-    "angular_transmission_error": "largest minus smallest value over one output turn, in one direction, of the curve "
-    "averaged over turns and made of the orders above the noise (GB/T 35089); the largest of the runs",
-    "angular_transmission_error_without_rig": "angular transmission error of the curve without the orders of the rig: "
-    "1, 2 and 3 of the output turn, run-out and couplings; the drive's "
-    "own part in these orders is removed too",
+    "hysteresis_loss": Definition(
+        "rad",
+        "distance of the two unloading branches, each extrapolated to zero torque by a straight line "
+        "over the interval on its own side (Nabtesco)",
+    ),
+    "backlash": Definition(
+        "rad",
+        "hysteresis loss minus twice the dry friction torque over the stiffness: minus the mean distance of "
+        "loading and unloading branch at ±50 % of the rated torque",
+    ),
+    "lost_motion": Definition("rad", f"{LOST_MOTION}, mean of loading and unloading branch (Nabtesco)"),
+    "torsional_stiffness": Definition(
+        "N*m/rad", "torque over windup along the loading branches in the interval, mean of both sides"
+    ),
+    "loading_stiffness": Definition(
+        "N*m/rad",
+        "rise of the torque over that of the windup between the ends of the interval, loading "
+        "branches, mean of both sides; friction that grows with load is part of it",
+    ),
+    "starting_torque": Definition(
+        "N*m",
+        "largest torque on the input, the output without load, from a standstill until the crank has "
+        "turned 1 degree, mean of the starts (no-load starting torque)",
+    ),
+    "back_driving_torque": Definition(
+        "N*m",
+        "largest torque on the output, while it drives, from a standstill until the crank has "
+        "turned 1 degree, mean of the starts (overhauling starting torque)",
+    ),
+    "angular_transmission_error": Definition(
+        "rad",
+        "largest minus smallest value over one output turn, in one direction, of the curve "
+        "averaged over turns and made of the orders above the noise (GB/T 35089); the largest of the runs",
+    ),
+    "angular_transmission_error_without_rig": Definition(
+        "rad",
+        "angular transmission error of the curve without the orders of the rig: "
+        "1, 2 and 3 of the output turn, run-out and couplings; the drive's "
+        "own part in these orders is removed too",
+    ),
 }
-UNITS = {
-    "hysteresis_loss": "rad",
-    "backlash": "rad",
-    "lost_motion": "rad",
-    "torsional_stiffness": "N*m/rad",
-    "loading_stiffness": "N*m/rad",
-    "starting_torque": "N*m",
-    "back_driving_torque": "N*m",
-    "angular_transmission_error": "rad",
-    "angular_transmission_error_without_rig": "rad",
-}
+
+
+def unit_of_figure(name: str) -> str:
+    """Return the SI unit of a standard figure.
+
+    Raises
+    ------
+    ValueError
+        If there is no such figure; it lists them.
+    """
+    if name not in DEFINITIONS:
+        raise ValueError(f"{name} is not a figure; the figures are {', '.join(DEFINITIONS)}")
+    return DEFINITIONS[name].unit
 
 
 @dataclass(frozen=True)
@@ -100,6 +134,11 @@ class Figure:
         return {**self.parts, **between, **{Path(run).name: figure for run, figure in self.runs.items()}}
 
 
+def half_interval_of_mean(values: Sequence[float]) -> float:
+    """Return half the 95 % interval of the mean of two or more values, by their scatter and Student's t."""
+    return float(np.std(values, ddof=1)) / math.sqrt(len(values)) * float(stdtrit(len(values) - 1, 0.975))
+
+
 def pooled(figures: Sequence[Figure]) -> Figure:
     """Return the mean of a figure over several recordings, weighted by their numbers of loops."""
     if len(figures) == 1:
@@ -110,7 +149,7 @@ def pooled(figures: Sequence[Figure]) -> Figure:
     uncertainty = float(np.sqrt(np.sum((weight * [f.uncertainty for f in figures]) ** 2)))
     degrees = min(f.degrees for f in figures)
     if len(figures) > 2:
-        scatter = float(np.std(values, ddof=1)) / math.sqrt(len(figures)) * float(stdtrit(len(figures) - 1, 0.975))
+        scatter = half_interval_of_mean([f.value for f in figures])
         if scatter > uncertainty:
             uncertainty, degrees = scatter, len(figures) - 1.0
     first = figures[0]
@@ -124,18 +163,16 @@ def pooled(figures: Sequence[Figure]) -> Figure:
         )
         for name, interval in {n: segment.interval for f in figures for n, segment in f.segments.items()}.items()
     }
-    return Figure(
-        value,
-        uncertainty,
-        first.unit,
-        first.definition,
-        first.interval,
-        first.interval_unit,
-        sum(f.count for f in figures),
-        first.counted,
-        parts,
+    return dataclasses.replace(
+        first,
+        value=value,
+        uncertainty=uncertainty,
+        count=sum(f.count for f in figures),
+        parts=parts,
+        runs={},
         segments=segments,
         degrees=degrees,
+        remark="",
     )
 
 
@@ -168,15 +205,8 @@ def in_field_units(figure: Figure, like: Figure | None = None) -> tuple[str, str
 
 def figure_json(figure: Figure) -> dict[str, Any]:
     """Return one figure as the content of a `cycloid-figures/1` file (SI)."""
-    content: dict[str, Any] = {
-        "value": figure.value,
-        "uncertainty": figure.uncertainty,
-        "unit": figure.unit,
-        "definition": figure.definition,
-        "interval": figure.interval,
-        "interval_unit": figure.interval_unit,
-        figure.counted: figure.count,
-    }
+    names = ("value", "uncertainty", "unit", "definition", "interval", "interval_unit")
+    content = {name: getattr(figure, name) for name in names} | {figure.counted: figure.count}
     if figure.remark:
         content["remark"] = figure.remark
     content.update({side: figure_json(part) for side, part in figure.parts.items()})

@@ -20,7 +20,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -32,7 +32,7 @@ from cycloid_fmu import edge
 from cycloid_fmu.fmu.friction_file import FORMAT as FRICTION_FILE
 from cycloid_fmu.fmu.friction_file import LIMITS
 from fitting.arguments import check_ratio, positive
-from fitting.figures.figure import Figure, figure_json
+from fitting.figures.figure import Definition, Figure, figure_json, half_interval_of_mean
 from fitting.figures.metrics import FORMAT as FIGURES
 from fitting.figures.starts import STARTS, Start, start_figures
 from fitting.readers.recording import Recording
@@ -44,26 +44,21 @@ Numbers = NDArray[np.intp]
 
 FORMAT = "cycloid-friction-fit/1"
 DEFINITIONS = {
-    "coulomb": "sliding friction without load, extrapolated to zero speed by the fitted line, mean of both directions",
-    "coulomb_forward": "torque extrapolated to zero speed from positive speeds; it contains the offset",
-    "coulomb_backward": "minus the torque extrapolated to zero speed from negative speeds; it contains the offset",
-    "viscous": "slope of the friction over the speed of the output",
-    "stribeck": "additional friction towards rest, S of S exp(-(w/w_s)^2)",
-    "stribeck_speed": "speed w_s of the output at which it has fallen to 1/e",
-    "friction_per_load": "growth of the friction with the torque of the teeth, mu",
-    "offset": "mean torque of both directions: a load, or the zero of the sensor",
-    "inertia": "torque over acceleration, referred to the output",
-}
-UNITS = {
-    "coulomb": "N*m",
-    "coulomb_forward": "N*m",
-    "coulomb_backward": "N*m",
-    "viscous": "N*m*s/rad",
-    "stribeck": "N*m",
-    "stribeck_speed": "rad/s",
-    "friction_per_load": "1",
-    "offset": "N*m",
-    "inertia": "kg*m^2",
+    "coulomb": Definition(
+        "N*m", "sliding friction without load, extrapolated to zero speed by the fitted line, mean of both directions"
+    ),
+    "coulomb_forward": Definition(
+        "N*m", "torque extrapolated to zero speed from positive speeds; it contains the offset"
+    ),
+    "coulomb_backward": Definition(
+        "N*m", "minus the torque extrapolated to zero speed from negative speeds; it contains the offset"
+    ),
+    "viscous": Definition("N*m*s/rad", "slope of the friction over the speed of the output"),
+    "stribeck": Definition("N*m", "additional friction towards rest, S of S exp(-(w/w_s)^2)"),
+    "stribeck_speed": Definition("rad/s", "speed w_s of the output at which it has fallen to 1/e"),
+    "friction_per_load": Definition("1", "growth of the friction with the torque of the teeth, mu"),
+    "offset": Definition("N*m", "mean torque of both directions: a load, or the zero of the sensor"),
+    "inertia": Definition("kg*m^2", "torque over acceleration, referred to the output"),
 }
 FILE_NAMES = {
     "coulomb": "coulomb",
@@ -417,16 +412,13 @@ class FrictionFit:
 
 def friction_json(friction_fit: FrictionFit) -> dict[str, Any]:
     """Return the fit as the content of a `cycloid-friction-fit/1` file, SI."""
+    coefficients = {name: figure_json(figure) for name, figure in friction_fit.coefficients.items()}
     return {
         "format": FORMAT,
         **{name: figure_json(figure) for name, figure in friction_fit.figures.items()},
         "speeds": list(friction_fit.speeds),
         "loads": friction_fit.loads,
-        **(
-            {"coefficients": {n: figure_json(coefficient) for n, coefficient in friction_fit.coefficients.items()}}
-            if friction_fit.coefficients
-            else {}
-        ),
+        **({"coefficients": coefficients} if coefficients else {}),
         "data": friction_fit.data,
         "notes": list(friction_fit.notes),
     }
@@ -457,7 +449,7 @@ def friction_toml(friction_fit: FrictionFit) -> str:
         if not least <= value <= (math.inf if most is None else most):
             raise edge.InputError(f"{name} = {value:.4g}: a friction file takes {least:g} to {most}.")
         number = f"{value:.6g}"
-        lines.append(f"{key} = {number}" if unit == "1" else f'{key} = "{number} {UNITS[name]}"')
+        lines.append(f"{key} = {number}" if unit == "1" else f'{key} = "{number} {DEFINITIONS[name].unit}"')
     return "\n".join([*lines, ""])
 
 
@@ -468,23 +460,16 @@ def _offset_columns(stretches: Stretches, loads: bool) -> dict[str, Array]:
     return {f"offset {k}": (stretches.recording == k).astype(float) for k in np.unique(stretches.recording)}
 
 
-def _both_ways(stretches: Stretches) -> list[int]:
-    """Return the numbers of the recordings with both directions."""
-    return [
-        int(k)
-        for k in np.unique(stretches.recording)
-        if len(set(np.sign(stretches.speed[stretches.recording == k]))) == 2
-    ]
-
-
-def _mean_torques(stretches: Stretches, numbers: Sequence[int]) -> tuple[Array, Array]:
-    """Return the offset and the friction of single recordings with both directions, N·m."""
-    values = []
-    for k in numbers:
+def _mean_torques(stretches: Stretches) -> dict[int, tuple[float, float]]:
+    """Return the offset and the friction, N·m, of each recording with both directions, by its number."""
+    torques = {}
+    for k in np.unique(stretches.recording):
         part = stretches.chosen(stretches.recording == k)
-        x = np.column_stack([np.ones(part.speed.size), np.sign(part.speed)])
-        values.append(np.linalg.lstsq(x, part.torque, rcond=None)[0])
-    return np.array([v[0] for v in values]), np.array([v[1] for v in values])
+        sign = np.sign(part.speed)
+        if np.unique(sign).size == 2:
+            offset, friction = np.linalg.lstsq(np.column_stack([np.ones(sign.size), sign]), part.torque, rcond=None)[0]
+            torques[int(k)] = float(offset), float(friction)
+    return torques
 
 
 @dataclass
@@ -505,8 +490,8 @@ class _Model:
         return fit_columns(self.columns, self.stretches)
 
 
-def _add_growth(model: _Model, measured: bool) -> bool:
-    """Add the growth of the friction with the torque of the teeth, which contains this friction; whether it can be."""
+def _add_growth(model: _Model, measured: bool) -> list[str]:
+    """Add the growth of the friction with the torque of the teeth, which contains it, or return why there is none."""
     part, name = model.stretches, "friction_per_load"
     load = part.load if measured else np.zeros(part.speed.size)
     for _ in range(_ITERATIONS):
@@ -516,8 +501,12 @@ def _add_growth(model: _Model, measured: bool) -> bool:
             carried = carried - fit.values[fit.names.index("inertia")] * part.acceleration
         model.columns.pop(name, None)
         if not model.add(name, np.sign(part.speed) * np.abs(carried)):
-            return False
-    return True
+            return []
+    value, uncertainty = model.fit().linear({name: 1.0})
+    if value > uncertainty:
+        return []
+    del model.columns[name]
+    return [f"Growth of the friction with the load is not resolved: {value:.2g} ± {uncertainty:.2g}."]
 
 
 def _stribeck(model: _Model) -> tuple[float, Fit] | None:
@@ -574,9 +563,9 @@ def fit_friction(
         If the torque opposes the motion: it is then not what drives.
     """
     measured = bool(np.isfinite(stretches.load).all())
-    both = _both_ways(stretches)
+    both = _mean_torques(stretches)
     loads, apart, notes = _loads_of(stretches, sources, both, measured)
-    used = np.isin(stretches.recording, both) if apart else np.ones(stretches.speed.size, bool)
+    used = np.isin(stretches.recording, [*both]) if apart else np.ones(stretches.speed.size, bool)
     every, stretches = stretches, stretches.chosen(used)
     renumbered = np.unique(stretches.block, return_inverse=True)[1]
     stretches = dataclasses.replace(stretches, block=renumbered)
@@ -588,7 +577,7 @@ def fit_friction(
     turning, remarks = _add_running_terms(model)
     notes += _add_drift(model)
     if len({round(v, 9) for v in loads.values()}) > 1:
-        notes += _add_resolved_growth(model, measured)
+        notes += _add_growth(model, measured)
     stribeck = _stribeck(model) if turning else None
     fit = model.fit() if stribeck is None else stribeck[1]
     if turning and stribeck is None:
@@ -605,7 +594,7 @@ def fit_friction(
 
     if apart:
         loads = {sources[k]: float(fit.values[fit.names.index(f"offset {k}")]) for k in both}
-    sums = _sums(fit, two_ways, sign, apart, measured)
+    sums = _sums(fit, two_ways, sign, apart)
     spread = _of_recordings(stretches, fit.names, sums, apart or measured, both)
     at = math.nan if stribeck is None else stribeck[0]
     figures = _figures_of(fit, sums, spread, at, len(both), speeds, "; ".join(remarks))
@@ -633,22 +622,25 @@ def fit_friction(
 
 
 def _loads_of(
-    stretches: Stretches, sources: Sequence[str], both: Sequence[int], measured: bool
+    stretches: Stretches, sources: Sequence[str], both: Mapping[int, tuple[float, float]], measured: bool
 ) -> tuple[dict[str, float], bool, list[str]]:
-    """Return the load of each recording (N·m), whether it is the mean of both directions, and notes."""
+    """Return the load of each recording (N·m), whether it is the mean of both directions, and notes.
+
+    `both`: offset and friction of each recording with both directions, of `_mean_torques`.
+    """
     if measured:
         numbers = np.unique(stretches.recording)
         return {sources[k]: float(stretches.load[stretches.recording == k].mean()) for k in numbers}, False, []
     if len(both) < 2:
         return {}, False, []
-    offsets, frictions = _mean_torques(stretches, both)
+    offsets, frictions = np.array([*both.values()]).T
     if not float(np.ptp(offsets)) > _OTHER_LOAD * float(np.abs(frictions).mean()):
         return {}, False, []
     notes = []
     single = [sources[k] for k in np.unique(stretches.recording) if k not in both]
     if single:
         notes.append(f"{edge.listed(single)}: left out; under a load, friction needs both directions in one recording.")
-    return {sources[k]: float(o) for k, o in zip(both, offsets, strict=True)}, True, notes
+    return {sources[k]: offset for k, (offset, _) in both.items()}, True, notes
 
 
 def _add_running_terms(model: _Model) -> tuple[bool, list[str]]:
@@ -682,17 +674,6 @@ def _add_drift(model: _Model) -> list[str]:
         f"The friction drifts by {value * 60.0:.2g} N·m a minute, as while it warms up; it is that of the middle of "
         "each recording."
     ]
-
-
-def _add_resolved_growth(model: _Model, measured: bool) -> list[str]:
-    """Add the growth with load if the data resolve it; otherwise return a note."""
-    if not _add_growth(model, measured):
-        return []
-    value, uncertainty = model.fit().linear({"friction_per_load": 1.0})
-    if value > uncertainty:
-        return []
-    del model.columns["friction_per_load"]
-    return [f"Growth of the friction with the load is not resolved: {value:.2g} ± {uncertainty:.2g}."]
 
 
 def _notes_on_the_line(model: _Model) -> list[str]:
@@ -735,8 +716,7 @@ def _figures_of(
         figures[name] = Figure(
             value,
             uncertainty,
-            UNITS[name],
-            DEFINITIONS[name],
+            *DEFINITIONS[name],
             speeds,
             "rad/s",
             fit.blocks,
@@ -747,7 +727,7 @@ def _figures_of(
     return figures
 
 
-def _sums(fit: Fit, two_ways: bool, sign: Array, apart: bool, measured: bool) -> dict[str, dict[str, float]]:
+def _sums(fit: Fit, two_ways: bool, sign: Array, apart: bool) -> dict[str, dict[str, float]]:
     """Return {figure: its weighted sum of estimates}."""
     sums: dict[str, dict[str, float]] = {}
     if not two_ways:
@@ -769,7 +749,7 @@ def _of_recordings(
     names: Sequence[str],
     sums: Mapping[str, Mapping[str, float]],
     loaded: bool,
-    both: Sequence[int],
+    both: Collection[int],
 ) -> dict[str, float]:
     """Return half widths of 95 % intervals from the scatter of three or more recordings that show all terms alone."""
     if loaded or len(both) < 3 or "stribeck" in names:
@@ -785,11 +765,7 @@ def _of_recordings(
             alone.append(model.fit())
     if len(alone) < 3:
         return {}
-    quantile = float(stdtrit(len(alone) - 1, 0.975)) / math.sqrt(len(alone))
-    return {
-        name: quantile * float(np.std([fit.linear(weights)[0] for fit in alone], ddof=1))
-        for name, weights in sums.items()
-    }
+    return {name: half_interval_of_mean([fit.linear(weights)[0] for fit in alone]) for name, weights in sums.items()}
 
 
 def _growth_of(loop: str | os.PathLike[str]) -> Figure:
@@ -835,16 +811,8 @@ def loop_growth(loop: str | os.PathLike[str]) -> tuple[Figure, bool]:
     half = math.nan if uncertainty is None else float(uncertainty)
     locked = content.get("locked")
     by_motor = isinstance(locked, dict) and set(locked.values()) == {"output"}
-    figure = Figure(
-        float(value),
-        half,
-        "1",
-        str(growth.get("definition", DEFINITIONS["friction_per_load"])),
-        None,
-        "",
-        float(growth.get("passes", 1)),
-        "passes",
-    )
+    text = str(growth.get("definition", DEFINITIONS["friction_per_load"].text))
+    figure = Figure(float(value), half, "1", text, None, "", float(growth.get("passes", 1)), "passes")
     return figure, by_motor
 
 
@@ -947,9 +915,8 @@ def friction(
         )
         if not figures:
             raise edge.NoDataError(" ".join(notes))
-        empty = np.zeros(0)
         nothing = stretches.chosen(np.zeros(0, np.intp))
-        return FrictionFit(figures, limits, {}, nothing, empty, {}, tuple(dict.fromkeys(notes)), data)
+        return FrictionFit(figures, limits, {}, nothing, np.zeros(0), {}, tuple(dict.fromkeys(notes)), data)
     running, loads, fitted, removed, added = fit_friction(stretches, sources, limits)
     figures = running | figures
     if growth is not None and "friction_per_load" not in figures:

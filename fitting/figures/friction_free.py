@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtri, stdtrit
 
-from fitting.figures.figure import Figure
+from fitting.figures.figure import Definition, Figure
 from fitting.transmission_error.loops import LoopData, fit_line
 from fitting.transmission_error.mid_curve import (
     FRICTION,
@@ -42,23 +42,24 @@ RESIDUAL_DEGREES = 10.0  # with which a variance from residuals counts: their co
 ENOUGH = 3.0  # degrees of freedom from which the scatter of the passes counts alone
 
 DEFINITIONS = {
-    "play": "distance at zero torque of the lines through the spring's torque over windup, from 20 to 70 % of its "
-    "largest value on each side",
-    "torsional_stiffness": "slope of these lines, mean of both sides: without friction",
-    "friction_torque": "friction without load, F_0 of the line F = F_0 + mu |M| over the spring's torque, up to 70 % "
-    "of its largest value; breakaway where the windup sticks",
-    "friction_per_load": "growth of the friction with load, mu of this line",
-    "efficiency_driving": "spring's torque over the torque that drives, M/(M + F), at the stated torque",
-    "efficiency_back_driving": "torque that comes back over the spring's torque, 1 - F/M, at the stated torque; 0 if "
-    "self-locking",
-}
-UNITS = {
-    "play": "rad",
-    "torsional_stiffness": "N*m/rad",
-    "friction_torque": "N*m",
-    "friction_per_load": "1",
-    "efficiency_driving": "1",
-    "efficiency_back_driving": "1",
+    "play": Definition(
+        "rad",
+        "distance at zero torque of the lines through the spring's torque over windup, from 20 to 70 % of its "
+        "largest value on each side",
+    ),
+    "torsional_stiffness": Definition("N*m/rad", "slope of these lines, mean of both sides: without friction"),
+    "friction_torque": Definition(
+        "N*m",
+        "friction without load, F_0 of the line F = F_0 + mu |M| over the spring's torque, up to 70 % "
+        "of its largest value; breakaway where the windup sticks",
+    ),
+    "friction_per_load": Definition("1", "growth of the friction with load, mu of this line"),
+    "efficiency_driving": Definition(
+        "1", "spring's torque over the torque that drives, M/(M + F), at the stated torque"
+    ),
+    "efficiency_back_driving": Definition(
+        "1", "torque that comes back over the spring's torque, 1 - F/M, at the stated torque; 0 if self-locking"
+    ),
 }
 
 
@@ -139,12 +140,10 @@ def _scatter(passes: Sequence[Pass], of: Callable[[Sequence[Pass]], Values | Non
         )
     total_variances = {}
     for name in set(each[0]) | set(each[1]):
-        parts = [
-            (variance, count - 1.0)
-            for variance, count in (of_direction[name] for of_direction in each if name in of_direction)
-        ]
-        if len(parts) == 1:
-            variance, count = next(of_direction[name] for of_direction in each if name in of_direction)
+        known = [of_direction[name] for of_direction in each if name in of_direction]
+        parts = [(variance, count - 1.0) for variance, count in known]
+        if len(known) == 1:
+            variance, count = known[0]
             parts.append((variance * count, count - 1.0))
         total = sum(variance for variance, _ in parts)
         spread = sum(variance**2 / degrees for variance, degrees in parts)
@@ -214,9 +213,7 @@ def friction_free(data: LoopData) -> FrictionFree | None:
             math.sqrt(variance) * float(stdtrit(degrees, 0.975)) if degrees > 0.0 else math.nan,
             1.96 * math.sqrt(resolved.get(of, 0.0)),
         )
-        return Figure(
-            value, uncertainty, UNITS[of], DEFINITIONS[of], interval, "N*m", len(passes), "passes", degrees=degrees
-        )
+        return Figure(value, uncertainty, *DEFINITIONS[of], interval, "N*m", len(passes), "passes", degrees=degrees)
 
     lines = (LINE[0] * largest, LINE[1] * largest)
     intervals = {

@@ -19,7 +19,7 @@ from scipy.special import stdtrit
 
 from cycloid_fmu import edge
 from cycloid_fmu.geometry.pair import LOST_MOTION_LOAD
-from fitting.figures.figure import DEFINITIONS, UNITS, Figure
+from fitting.figures.figure import DEFINITIONS, Figure, half_interval_of_mean
 from fitting.transmission_error.loops import SIDES, Line, Lobe, Loop, LoopData, fit_line, residual_variance
 
 Array = NDArray[np.float64]
@@ -109,22 +109,6 @@ def _noise(torque: Array, windup: Array) -> float:
     return float(np.sqrt(np.mean(residual**2 / (share**2 + (1.0 - share) ** 2 + 1.0))))
 
 
-@dataclass(frozen=True)
-class _LoopValues:
-    """Values of one loop, rad, each with its variance; None if its branches do not contain it.
-
-    `width` is the mean distance of loading and unloading branch at half the rated torque, `wider` the excess of this
-    distance at the load of lost motion, on the second side; `middle` is the centre of the hysteresis loss.
-    """
-
-    hysteresis_loss: _Value | None
-    backlash: _Value | None
-    lost_motion: _Value | None
-    width: _Value | None
-    wider: _Value | None
-    middle: _Value | None
-
-
 def _stiffness(torque: Array, windup: Array, lobe: Lobe, low: float, high: float) -> _Value | None:
     line = branch_line(torque, windup, lobe.loading, low, high)
     if line is None or line.slope <= 0.0:
@@ -132,43 +116,45 @@ def _stiffness(torque: Array, windup: Array, lobe: Lobe, low: float, high: float
     return 1.0 / line.slope, line.slope_variance / line.slope**4
 
 
-def _loop_values(torque: Array, windup: Array, loop: Loop, rated: float) -> _LoopValues:
-    sides = (loop.positive, loop.negative)
-    unloading = [branch_line(torque, windup, s.unloading, UNLOADING[0] * rated, UNLOADING[1] * rated) for s in sides]
-    hysteresis = middle = backlash = lost = width = wider = None
-    if unloading[0] is not None and unloading[1] is not None:
-        (up, up_variance), (down, down_variance) = (line.at(0.0) for line in unloading if line is not None)
-        hysteresis = up - down, up_variance + down_variance
-        middle = 0.5 * (up + down), 0.25 * (up_variance + down_variance)
+def _loop_values(torque: Array, windup: Array, loop: Loop, rated: float) -> dict[str, _Value]:
+    """Return the values of one loop, rad, each with its variance; without those that its branches do not contain.
 
-    def both(share: float, near: float) -> list[tuple[_Value, _Value]] | None:
-        loop_values = []
-        for side in sides:
-            loading, unloading = (
-                value_at(torque, windup, branch, side.sign * share * rated, near * rated)
-                for branch in (side.loading, side.unloading)
-            )
-            if loading is None or unloading is None:
-                return None
-            loop_values.append((loading, unloading))
-        return loop_values
+    `width` is the mean distance of loading and unloading branch at half the rated torque, `wider` the excess of this
+    distance at the load of lost motion, on the second side; `middle` is the centre of the hysteresis loss.
+    """
+    sides, values = (loop.positive, loop.negative), dict[str, _Value]()
+    unloading = [branch_line(torque, windup, s.unloading, UNLOADING[0] * rated, UNLOADING[1] * rated) for s in sides]
+    ends = [line.at(0.0) for line in unloading if line is not None]
+    if len(ends) == 2:
+        (up, up_variance), (down, down_variance) = ends
+        values["hysteresis_loss"] = up - down, up_variance + down_variance
+        values["middle"] = 0.5 * (up + down), 0.25 * (up_variance + down_variance)
+
+    def both(share: float, near: float) -> list[_Value] | None:
+        """Loading and unloading branch of the positive, then of the negative side."""
+        branches = [(side.sign, branch) for side in sides for branch in (side.loading, side.unloading)]
+        at = [value_at(torque, windup, branch, sign * share * rated, near * rated) for sign, branch in branches]
+        known = [value for value in at if value is not None]
+        return known if len(known) == 4 else None
 
     widths = both(FRICTION, FRICTION_NEAR)
     if widths is not None:
-        (a, b), (c, d) = widths
+        a, b, c, d = widths
         # The unloading branch is above the loading branch on the positive side and below on the negative side; both
         # widths are 2 T_f / k.
-        width = 0.5 * ((b[0] - a[0]) + (c[0] - d[0])), 0.25 * (a[1] + b[1] + c[1] + d[1])
-        if hysteresis is not None:
-            backlash = hysteresis[0] - width[0], hysteresis[1] + width[1]
+        width = values["width"] = 0.5 * ((b[0] - a[0]) + (c[0] - d[0])), 0.25 * (a[1] + b[1] + c[1] + d[1])
+        if "hysteresis_loss" in values:
+            loss, variance = values["hysteresis_loss"]
+            values["backlash"] = loss - width[0], variance + width[1]
     at = both(LOST_MOTION_LOAD, NEAR)
     if at is not None:
-        (a, b), (c, d) = at
-        lost = 0.5 * (a[0] + b[0] - c[0] - d[0]), 0.25 * (a[1] + b[1] + c[1] + d[1])
-        if width is not None:
+        a, b, c, d = at
+        values["lost_motion"] = 0.5 * (a[0] + b[0] - c[0] - d[0]), 0.25 * (a[1] + b[1] + c[1] + d[1])
+        if "width" in values:
             upper, lower = (c, d) if loop.negative.loading.start > loop.positive.loading.start else (b, a)
-            wider = upper[0] - lower[0] - width[0], upper[1] + lower[1] + width[1]
-    return _LoopValues(hysteresis, backlash, lost, width, wider, middle)
+            distance, variance = values["width"]
+            values["wider"] = upper[0] - lower[0] - distance, upper[1] + lower[1] + variance
+    return values
 
 
 def _behind_the_virgin_branch(torque: Array, windup: Array, loop: Loop, rated: float) -> _Value | None:
@@ -197,7 +183,7 @@ def mean_of_loops(values: Sequence[_Value], moved: float = 0.0) -> tuple[float, 
     count = len(values)
     uncertainty, degrees = math.sqrt(sum(variance for _, variance in values)) / count * 1.96, math.inf
     if count > 2:
-        scatter = float(np.std([v for v, _ in values], ddof=1)) / math.sqrt(count) * float(stdtrit(count - 1, 0.975))
+        scatter = half_interval_of_mean([v for v, _ in values])
         if scatter > uncertainty:
             uncertainty, degrees = scatter, count - 1.0
     return value, math.hypot(uncertainty, 1.96 * moved), degrees
@@ -270,10 +256,8 @@ def drift_of(data: LoopData) -> Drift | None:
         return None
     solution = np.linalg.lstsq(matrix, windup, rcond=None)[0]
     residual = windup - matrix @ solution
-    variance = float(residual @ residual) / (x.size - matrix.shape[1])
-    alike = float(residual[1:] @ residual[:-1]) / max(float(residual @ residual), 1e-300)
-    alike = min(max(alike, 0.0), 1.0 - 2.0 / x.size)
-    variance *= (1.0 + alike) / (1.0 - alike) * float(np.linalg.inv(matrix.T @ matrix)[-1, -1])
+    variance = residual_variance(residual, x.size - matrix.shape[1])
+    variance *= float(np.linalg.inv(matrix.T @ matrix)[-1, -1])
     return Drift(float(solution[-1]) / length, math.sqrt(variance) / length, repeated)
 
 
@@ -295,7 +279,7 @@ def _values(data: LoopData, band: bool) -> dict[str, list[_Value]]:
     torque, windup, rated = data.torque, data.windup, data.rated_torque
     every = [_loop_values(torque, windup, loop, rated) for loop in data.loops]
     steady = [_loop_values(torque, windup, loop, rated) for loop in data.steady] or every
-    lost = [loop.lost_motion for loop in (steady if band else every)]
+    lost = [loop.get("lost_motion") for loop in (steady if band else every)]
     if not data.steady and band and not _closed(data):
         lost = [_behind_the_virgin_branch(torque, windup, loop, rated) for loop in data.loops]
     stiffness = {
@@ -307,11 +291,9 @@ def _values(data: LoopData, band: bool) -> dict[str, list[_Value]]:
         for side, sign in SIDES
     }
     values = {
-        "hysteresis_loss": [loop.hysteresis_loss for loop in every],
-        "backlash": [loop.backlash for loop in every],
+        **{name: [loop.get(name) for loop in every] for name in ("hysteresis_loss", "backlash", "width")},
         "lost_motion": lost,
-        "width": [loop.width for loop in every],
-        "wider": [loop.wider for loop in steady],
+        "wider": [loop.get("wider") for loop in steady],
         **stiffness,
     }
     return {name: [v for v in these if v is not None] for name, these in values.items()}
@@ -322,7 +304,7 @@ def _closed(data: LoopData) -> bool:
     loop, near = data.loops[0], NEAR * data.rated_torque
     first, second = sorted((loop.positive, loop.negative), key=lambda lobe: lobe.loading.start)
     begin, end = (value_at(data.torque, data.windup, part, 0.0, near) for part in (first.loading, second.unloading))
-    loss = _loop_values(data.torque, data.windup, loop, data.rated_torque).hysteresis_loss
+    loss = _loop_values(data.torque, data.windup, loop, data.rated_torque).get("hysteresis_loss")
     if begin is None or end is None or loss is None:
         return False
     return abs(end[0] - begin[0]) < 0.02 * abs(loss[0]) + 3.0 * math.sqrt(begin[1] + end[1])
@@ -497,9 +479,7 @@ def _stiffness_figure(
 def _mean_figure(name: str, values: list[_Value], drifted: list[_Value], interval: tuple[float, float]) -> Figure:
     """Return the mean of a figure's values over loops, with the drift's part of its uncertainty."""
     value, uncertainty, degrees = mean_of_loops(values, _moved(values, drifted))
-    return Figure(
-        value, uncertainty, UNITS[name], DEFINITIONS[name], interval, "N*m", len(values), "loops", degrees=degrees
-    )
+    return Figure(value, uncertainty, *DEFINITIONS[name], interval, "N*m", len(values), "loops", degrees=degrees)
 
 
 def _loop_notes(
@@ -583,20 +563,20 @@ def loop_marks(data: LoopData) -> dict[str, list[Array]]:
         return marks
     loop = data.loops[0]
     values = _loop_values(torque, windup, loop, rated)
-    if values.hysteresis_loss is None or values.middle is None:
+    if "hysteresis_loss" not in values:
         return marks
-    middle, half = values.middle[0], 0.5 * values.hysteresis_loss[0]
+    middle, half = values["middle"][0], 0.5 * values["hysteresis_loss"][0]
     lines = [np.array([(0.0, middle - half), (0.0, middle + half)])]
     for side in (loop.positive, loop.negative):
         line = branch_line(torque, windup, side.unloading, UNLOADING[0] * rated, UNLOADING[1] * rated)
         assert line is not None
         lines.append(np.array([(t, line.at(t)[0]) for t in (0.0, side.sign * UNLOADING[1] * rated)]))
     marks["hysteresis_loss"] = lines
-    if values.backlash is not None:
-        half = 0.5 * values.backlash[0]
+    if "backlash" in values:
+        half = 0.5 * values["backlash"][0]
         marks["backlash"] = [np.array([(0.0, middle - half), (0.0, middle + half)])]
     loop = next(iter(data.steady), loop)
-    if _loop_values(torque, windup, loop, rated).lost_motion is not None:
+    if "lost_motion" in _loop_values(torque, windup, loop, rated):
         at = []
         for side in (loop.negative, loop.positive):
             t = side.sign * LOST_MOTION_LOAD * rated

@@ -10,7 +10,7 @@ from typing import Annotated, Literal, Self
 import pydantic
 
 from cycloid_fmu import edge
-from fitting.figures.figure import UNITS
+from fitting.figures.figure import unit_of_figure
 
 FORMAT = "cycloid-instruments/1"
 Distribution = Literal["rectangular", "normal", "arcsine"]
@@ -125,17 +125,17 @@ class Thermometer(Instrument):
     @classmethod
     def _of_figures(cls, given: dict[str, str]) -> dict[str, str]:
         for name, value in given.items():
-            if name not in UNITS:
-                raise ValueError(f"{name} is not a figure; the figures are {', '.join(UNITS)}")
+            unit = f"{unit_of_figure(name)}/K"
             try:
-                edge.parse_quantity(value, f"{UNITS[name]}/K")
+                edge.parse_quantity(value, unit)
             except ValueError as problem:
                 raise ValueError(f"{name}: {problem}") from None
         return given
 
     def coefficient(self, name: str) -> float:
         """Return the change of a figure with temperature, SI unit per K; 0 if not stated."""
-        return edge.parse_quantity(self.coefficients[name], f"{UNITS[name]}/K") if name in self.coefficients else 0.0
+        stated = self.coefficients.get(name)
+        return 0.0 if stated is None else edge.parse_quantity(stated, f"{unit_of_figure(name)}/K")
 
 
 class Instruments(edge.Config):

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.figures.figure import DEFINITIONS, UNITS, Figure, in_field_units
+from fitting.figures.figure import DEFINITIONS, Figure, in_field_units
 from fitting.figures.friction_free import FrictionFree, friction_free
 from fitting.figures.hysteresis import loop_figures, mean_of_loops
 from fitting.transmission_error.loop_groups import ALIKE
@@ -86,17 +86,8 @@ def loading_stiffness(data: LoopData) -> Figure | None:
     soft, uncertainty, degrees = mean_of_loops([(slope, 0.0) for slope in slopes])
     if len(slopes) < 3:
         uncertainty = math.nan
-    return Figure(
-        1.0 / soft,
-        uncertainty / soft**2,
-        UNITS["torsional_stiffness"],
-        DEFINITIONS["loading_stiffness"],
-        (low, high),
-        "N*m",
-        len(slopes),
-        "branches",
-        degrees=degrees,
-    )
+    definition, half = DEFINITIONS["loading_stiffness"], uncertainty / soft**2
+    return Figure(1.0 / soft, half, *definition, (low, high), "N*m", len(slopes), "branches", degrees=degrees)
 
 
 def group_of(data: LoopData) -> LoopGroup:

@@ -150,25 +150,11 @@ def _points(source: Source, ratio: float | None) -> tuple[list[_Point], list[str
         return [], [*notes, f"{problem} It is not in the maps."]
 
 
-_MAP_UNITS = {
-    "torque": "N*m",
-    "speed": "rad/s",
-    "temperature": "K",
-    "torsional_stiffness": "N*m/rad",
-    **dict.fromkeys(
-        (
-            "angular_transmission_error",
-            "angular_transmission_error_without_rig",
-            "order_amplitude",
-            "mean_transmission_error",
-            "gap",
-        ),
-        "rad",
-    ),
-}
+_MAP_UNITS = {"torque": "N*m", "speed": "rad/s", "temperature": "K", "torsional_stiffness": "N*m/rad"}
+"""Units of the maps and their axes; those of the others are rad."""
 
 
-def _told_once(notes: Sequence[str]) -> list[str]:
+def _merged(notes: Sequence[str]) -> list[str]:
     """Merge equal notes on several recordings into one that names the first."""
     of: dict[str, list[str]] = {}
     for note in dict.fromkeys(notes):
@@ -272,14 +258,15 @@ def _dataset(points: Sequence[_Point], ratio: float, drive: Drive | None, notes:
             "order_name": ("order", np.array([order_name(k, ratio, pair) for k in orders], dtype=object)),
         },
     )
-    for name, unit in _MAP_UNITS.items():
-        data[name].attrs["units"] = unit
+    for name in (*AXES, *data.data_vars):
+        if name != "recordings":
+            data[name].attrs["units"] = _MAP_UNITS.get(str(name), "rad")
     data.attrs.update(
         format=FORMAT,
         ratio=ratio,
         torque_is=("size" if with_motion else "signed"),
         curves=len(points),
-        notes="\n".join(_told_once(notes)),
+        notes="\n".join(_merged(notes)),
     )
     return data
 

@@ -244,7 +244,7 @@ def _largest_of_runs(name: str, by_way: Mapping[str, Mapping[str, Figure]]) -> F
     }
     runs = {label: figure for each in by_way.values() for label, figure in each.items()}
     largest = max(parts.values(), key=lambda figure: figure.value)
-    return dataclasses.replace(largest, parts=parts, runs=runs, definition=DEFINITIONS[name])
+    return dataclasses.replace(largest, parts=parts, runs=runs, definition=DEFINITIONS[name].text)
 
 
 def _starts(surveyed: Sequence[Surveyed], ratio: float | None) -> tuple[dict[str, Figure], list[str]]:

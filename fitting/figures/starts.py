@@ -8,9 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtrit
 
-from fitting.figures.figure import DEFINITIONS, UNITS, Figure
+from fitting.figures.figure import DEFINITIONS, Figure, half_interval_of_mean
 from fitting.readers.recording import Recording
 
 Array = NDArray[np.float64]
@@ -128,18 +127,6 @@ def start_figures(started: Mapping[str, Sequence[Start]]) -> dict[str, Figure]:
 
 def start_figure(name: str, torques: Sequence[float]) -> Figure:
     """Return the mean of the starts' torques, N·m, as a figure; with a single start its uncertainty is unknown."""
-    half = math.nan
-    if len(torques) > 1:
-        quantile = float(stdtrit(len(torques) - 1, 0.975))
-        half = quantile * float(np.std(torques, ddof=1)) / math.sqrt(len(torques))
-    return Figure(
-        float(np.mean(torques)),
-        half,
-        UNITS[name],
-        DEFINITIONS[name],
-        None,
-        "",
-        len(torques),
-        "starts",
-        degrees=max(len(torques) - 1.0, 1.0),
-    )
+    half = half_interval_of_mean(torques) if len(torques) > 1 else math.nan
+    degrees = max(len(torques) - 1.0, 1.0)
+    return Figure(float(np.mean(torques)), half, *DEFINITIONS[name], None, "", len(torques), "starts", degrees=degrees)

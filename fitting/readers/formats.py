@@ -324,33 +324,15 @@ def in_order(streams: Sequence[Iterator[Piece]]) -> Iterator[Piece]:
 
 
 _SPELLINGS = {
-    "°": "deg",
-    "º": "deg",
-    "°c": "degC",
-    "′": "arcmin",
-    "'": "arcmin",
-    "’": "arcmin",
-    "″": "arcsec",
-    '"': "arcsec",
-    "”": "arcsec",
-    "''": "arcsec",
-    "′′": "arcsec",
-    "arc sec": "arcsec",
-    "arc min": "arcmin",
-    "r/min": "rpm",
-    "1/min": "rpm",
-    "umdr": "rev",
-    "umdr.": "rev",
-    "tr": "rev",
-    "tour": "rev",
-    "tours": "rev",
-    "tr/min": "rpm",
-    "min-1": "rpm",
-    "bogensekunden": "arcsec",
-    "bogenminuten": "arcmin",
-    "u/min": "rpm",
-    "sec": "s",
+    "deg": ("°", "º"),
+    "degC": ("°c",),
+    "arcmin": ("′", "'", "’", "arc min", "bogenminuten"),
+    "arcsec": ("″", '"', "”", "''", "′′", "arc sec", "bogensekunden"),
+    "rev": ("umdr", "umdr.", "tr", "tour", "tours"),
+    "rpm": ("r/min", "1/min", "tr/min", "min-1", "u/min"),
+    "s": ("sec",),
 }
+_UNIT_OF = {spelling: unit for unit, spellings in _SPELLINGS.items() for spelling in spellings}
 
 
 def measures(unit: str, si: str) -> bool:
@@ -381,4 +363,4 @@ def unit_text(text: str) -> str:
     torque = re.fullmatch(r"([kmMµu]?)N[ ·.⋅*-]?m", text)
     if torque:
         return f"{torque[1]}N*m"
-    return _SPELLINGS.get(text.lower(), text)
+    return _UNIT_OF.get(text.lower(), text)

@@ -1,21 +1,21 @@
-"""Formulas of measurement files: parsed by a small grammar and computed in double precision, never run as code."""
+"""Formulas of measurement files: read with Python's grammar, computed in double precision, never run as code."""
 
 from __future__ import annotations
 
-import re
+import ast
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cycloid_fmu import edge
+
 Array = NDArray[np.float64]
 
 LONGEST = 300  # characters
-_DEEPEST = 30  # levels of nested brackets and signs
-_SYMBOL = re.compile(
-    r"\s*(?:(?P<number>(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?)|(?P<name>[A-Za-z]\w*)|(?P<sign>\*\*|[-+*/(),]))"
-)
+_DEEPEST = 160  # levels; a sum of as many terms as a formula can hold has fewer
 # "log" and "^" are left out as ambiguous: natural or decimal logarithm, power or exclusive or.
 _FUNCTIONS: dict[str, tuple[int, Callable[..., Array]]] = {
     "abs": (1, np.abs),
@@ -37,12 +37,12 @@ _FUNCTIONS: dict[str, tuple[int, Callable[..., Array]]] = {
     "tanh": (1, np.tanh),
     "pow": (2, np.power),
 }
-_SIGNS: dict[str, Callable[[Array, Array], Array]] = {
-    "+": np.add,
-    "-": np.subtract,
-    "*": np.multiply,
-    "/": np.divide,
-    "**": np.power,
+_SIGNS: dict[type[ast.operator], Callable[[Array, Array], Array]] = {
+    ast.Add: np.add,
+    ast.Sub: np.subtract,
+    ast.Mult: np.multiply,
+    ast.Div: np.divide,
+    ast.Pow: np.power,
 }
 
 Part = Callable[[Array], Array]
@@ -71,7 +71,16 @@ class Formula:
     text: str
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "_compute", _Reader(self.text).formula())
+        if len(self.text) > LONGEST:
+            raise ValueError(f"it is longer than {LONGEST} characters")
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                parsed = ast.parse(" ".join(self.text.split()), mode="eval")
+        except (SyntaxError, MemoryError, RecursionError) as problem:
+            reason = getattr(problem, "msg", None) or "nested too deeply"
+            raise ValueError(f"it is no formula ({reason})") from None
+        object.__setattr__(self, "_compute", _part(parsed.body, _DEEPEST))
 
     def __call__(self, x: ArrayLike) -> Array:
         """Return the values of the formula, of the shape of `x`; NaN where it is undefined."""
@@ -81,87 +90,28 @@ class Formula:
             return np.broadcast_to(compute(given), given.shape).astype(float)
 
 
-class _Reader:
-    """Recursive-descent parser; each method parses the part that it is named after."""
-
-    def __init__(self, text: str) -> None:
-        if len(text) > LONGEST:
-            raise ValueError(f"it is longer than {LONGEST} characters")
-        self._left: list[tuple[str, str]] = []
-        position, end = 0, len(text.rstrip())
-        while position < end:
-            symbol = _SYMBOL.match(text, position)
-            if symbol is None:
-                raise ValueError(f'"{text[position:].strip()[:10]}" is not part of a formula')
-            self._left.append((str(symbol.lastgroup), str(symbol[str(symbol.lastgroup)])))
-            position = symbol.end()
-        self._depth = 0
-
-    def formula(self) -> Part:
-        part = self._sum()
-        if self._left:
-            raise ValueError(f'unexpected "{self._left[0][1]}"')
-        return part
-
-    def _sign(self, *wanted: str) -> str:
-        """Consume and return one of these signs if it is next, else ""."""
-        if self._left and self._left[0][0] == "sign" and self._left[0][1] in wanted:
-            return self._left.pop(0)[1]
-        return ""
-
-    def _need(self, sign: str) -> None:
-        if not self._sign(sign):
-            raise ValueError(f'"{sign}" is missing')
-
-    def _sum(self) -> Part:
-        part = self._product()
-        while sign := self._sign("+", "-"):
-            part = _joined(sign, part, self._product())
-        return part
-
-    def _product(self) -> Part:
-        part = self._signed()
-        while sign := self._sign("*", "/"):
-            part = _joined(sign, part, self._signed())
-        return part
-
-    def _signed(self) -> Part:
-        self._depth += 1
-        if self._depth > _DEEPEST:
-            raise ValueError("it is nested too deeply")
-        try:
-            if sign := self._sign("+", "-"):
-                part = self._signed()
-                return part if sign == "+" else lambda x: np.negative(part(x))
-            base = self._value()
-            return _joined("**", base, self._signed()) if self._sign("**") else base
-        finally:
-            self._depth -= 1
-
-    def _value(self) -> Part:
-        if self._sign("("):
-            part = self._sum()
-            self._need(")")
-            return part
-        kind, text = self._left.pop(0) if self._left else ("", "")
-        if kind == "number":
-            number = np.array(float(text))
+def _part(node: ast.expr, levels: int) -> Part:
+    """Return a part of a formula as a function of X; there are numbers, X, the signs and the functions above."""
+    if not levels:
+        raise ValueError("it is nested too deeply")
+    match node:
+        case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
+            number = np.array(float(value))
             return lambda x: number
-        if kind == "name" and text.upper() in ("X", "X1"):
+        case ast.Name(id=name) if name.upper() in ("X", "X1"):
             return lambda x: x
-        if kind == "name" and text.lower() in _FUNCTIONS:
-            count, function = _FUNCTIONS[text.lower()]
-            self._need("(")
-            parts = [self._sum()]
-            while self._sign(","):
-                parts.append(self._sum())
-            self._need(")")
-            if len(parts) != count:
-                raise ValueError(f"{text} takes {count} value{'s' * (count > 1)}, not {len(parts)}")
+        case ast.UnaryOp(op=ast.UAdd(), operand=operand):
+            return _part(operand, levels - 1)
+        case ast.UnaryOp(op=ast.USub(), operand=operand):
+            positive = _part(operand, levels - 1)
+            return lambda x: np.negative(positive(x))
+        case ast.BinOp(left=left, op=sign, right=right) if type(sign) in _SIGNS:
+            compute, first, second = _SIGNS[type(sign)], _part(left, levels - 1), _part(right, levels - 1)
+            return lambda x: compute(first(x), second(x))
+        case ast.Call(func=ast.Name(id=name), args=given, keywords=[]) if name.lower() in _FUNCTIONS:
+            count, function = _FUNCTIONS[name.lower()]
+            if len(given) != count:
+                raise ValueError(f"{name} takes {count} value{'s' * (count > 1)}, not {len(given)}")
+            parts = [_part(argument, levels - 1) for argument in given]
             return lambda x: function(*(part(x) for part in parts))
-        raise ValueError(f'"{text}" is unknown' if text else "it ends too early")
-
-
-def _joined(sign: str, first: Part, second: Part) -> Part:
-    compute = _SIGNS[sign]
-    return lambda x: compute(first(x), second(x))
+    raise ValueError(f"{edge.shown(ast.unparse(node))} is not part of a formula")

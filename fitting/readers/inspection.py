@@ -92,17 +92,14 @@ class Inspection:
     @property
     def text(self) -> str:
         """The proposed mapping file, with a comment wherever a value was inferred or is missing."""
-        return self._text(None if self.dbc is None else str(self.dbc.resolve()))
-
-    def _text(self, dbc: str | None) -> str:
-        return _mapping_text(self.roles, self.runs, self.file, self.ratio, self.looks, dbc)
+        return _mapping_text(self, None if self.dbc is None else str(self.dbc.resolve()))
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write the proposed mapping file, with the DBC relative to it; never a partial file."""
         folder = Path(path).resolve().parent
         dbc = None if self.dbc is None else os.path.relpath(self.dbc.resolve(), folder)
         with edge.written_whole(path) as temporary:
-            temporary.write_text(self._text(dbc), encoding="utf-8")
+            temporary.write_text(_mapping_text(self, dbc), encoding="utf-8")
 
 
 def inspect(path: str | os.PathLike[str], dbc: str | os.PathLike[str] | None = None) -> Inspection:
@@ -146,23 +143,13 @@ def inspect(path: str | os.PathLike[str], dbc: str | os.PathLike[str] | None = N
 
 def inspection_json(inspection: Inspection) -> dict[str, Any]:
     """Return the content of a file as JSON data for scripts."""
-    channels = {
-        o.channel.name: {
-            "unit": o.channel.unit,
-            "samples": o.values.size,
-            "min": o.extremes[0],
-            "max": o.extremes[1],
-        }
-        for o in inspection.looks
-    }
+    channels = {}
+    for look in inspection.looks:
+        low, high = look.extremes
+        channels[look.channel.name] = {"unit": look.channel.unit, "samples": look.values.size, "min": low, "max": high}
     roles = {role: look.channel.name for role, look in inspection.roles.items()}
-    runs = {
-        run.name: {
-            "output_angle": run.output_angle.channel.name,
-            "transmission_error": run.transmission_error.channel.name,
-        }
-        for run in inspection.runs
-    }
+    names = ("output_angle", "transmission_error")
+    runs = {run.name: {name: getattr(run, name).channel.name for name in names} for run in inspection.runs}
     return {
         "channels": channels,
         "text": list(inspection.file.texts),
@@ -271,17 +258,10 @@ def _ratio_line(ratio: float | None, stated: bool) -> str:
     return f"ratio = {ratio:g}                # from the two angles; {kind}"
 
 
-def _mapping_text(
-    roles: dict[str, FirstSamples],
-    runs: Sequence[ErrorRun],
-    file: BenchFile,
-    ratio: float | None,
-    looks: Sequence[FirstSamples],
-    dbc: str | None,
-) -> str:
+def _mapping_text(inspection: Inspection, dbc: str | None) -> str:
+    file, roles, runs = inspection.file, inspection.roles, inspection.runs
     named = {role: name_pattern for role, name_pattern in name_patterns(file.source).items() if role not in roles}
-    lines = [f'format = "{FORMAT}"']
-    lines.append(_ratio_line(ratio, file.ratio is not None))
+    lines = [f'format = "{FORMAT}"', _ratio_line(inspection.ratio, file.ratio is not None)]
     if dbc is not None:
         lines.append(f"dbc = {_quoted(dbc)}")
     if "time" in roles:
@@ -300,7 +280,7 @@ def _mapping_text(
             continue
         elif role not in OPTIONAL and role not in BESIDE:
             lines += ["", f"# no channel looks like {role}{_ABSENT.get(role, '')}", f"# [{role}]"]
-            commands = edge.listed(o.channel.name for o in _named(looks, role) if is_commanded(o))
+            commands = edge.listed(o.channel.name for o in _named(inspection.looks, role) if is_commanded(o))
             lines.append('# column = "…"' + (f"              # not a command, such as {commands}" if commands else ""))
     for run in runs if len(runs) > 1 else ():
         lines += ["", "[[runs]]", f"name = {_quoted(run.name)}"]

@@ -202,18 +202,7 @@ def _conversion(channel: Any) -> Callable[[Any], Any]:
 
 # Scales that npTDMS computes; for others it returns raw numbers.
 _SCALES = frozenset(
-    {
-        "Add",
-        "AdvancedAPI",
-        "Linear",
-        "Polynomial",
-        "RTD",
-        "Strain",
-        "Subtract",
-        "Table",
-        "Thermistor",
-        "Thermocouple",
-    }
+    {"Add", "AdvancedAPI", "Linear", "Polynomial", "RTD", "Strain", "Subtract", "Table", "Thermistor", "Thermocouple"}
 )
 _SCALE_TYPE = re.compile(r"NI_Scale\[\d+\]_Scale_Type")
 _MOST_SCALES = 100

@@ -25,6 +25,7 @@ CONSTANTS = ("torque", "speed", "temperature")
 REFERRED = ("output_angle", "torque")
 FORMAT = "cycloid-mapping/1"
 _TURN = 2.0 * np.pi
+_CONSTANT = "N*m/A"  # unit of a torque constant
 
 
 class ChannelMapping(edge.Config):
@@ -306,7 +307,7 @@ def _check_channels(mapping: FileMapping, source: str) -> None:
         if channel.value is not None:
             if channel.unit is not None:
                 raise edge.InputError(f"{source}: [{name}] value has its own unit; remove unit.")
-            _value(channel.value, name, f"{source}: [{name}] value")
+            _quantity(channel.value, SI[name], f"{source}: [{name}] value")
         if channel.file_name is not None:
             if channel.file_name.count("{}") != 1:
                 raise edge.InputError(
@@ -320,7 +321,7 @@ def _check_channels(mapping: FileMapping, source: str) -> None:
         if channel.constant is not None:
             if name != "torque":
                 raise edge.InputError(f"{source}: [{name}] constant: only a torque is measured as a current.")
-            if not _torque_constant(channel.constant, f"{source}: [{name}] constant"):
+            if not _quantity(channel.constant, _CONSTANT, f"{source}: [{name}] constant"):
                 raise edge.InputError(
                     f"{source}: [{name}] constant = {edge.shown(channel.constant)}: it must not be 0."
                 )
@@ -335,18 +336,10 @@ def _check_channels(mapping: FileMapping, source: str) -> None:
             )
 
 
-def _torque_constant(text: str, where: str) -> float:
-    """Return a stated torque constant, N·m/A."""
+def _quantity(text: str, si: str, where: str) -> float:
+    """Return a stated quantity, SI; `where` names it in messages."""
     try:
-        return edge.parse_quantity(text, "N*m/A")
-    except ValueError as problem:
-        raise edge.InputError(f"{where} = {edge.shown(text)}: {problem}.") from None
-
-
-def _value(text: str, role: str, where: str) -> float:
-    """Return a stated value of a role, SI."""
-    try:
-        return edge.parse_quantity(text, SI[role])
+        return edge.parse_quantity(text, si)
     except ValueError as problem:
         raise edge.InputError(f"{where} = {edge.shown(text)}: {problem}.") from None
 
@@ -430,7 +423,7 @@ def scales_of(file: BenchFile, mapping: FileMapping) -> dict[str, tuple[str, flo
             raise edge.InputError(f"{file.source}: there is no column {wanted} for {role}; it has {held}.")
         si, constant = SI[role], 1.0
         if isinstance(channel, ChannelMapping) and channel.constant is not None:
-            si, constant = "A", _torque_constant(channel.constant, f"{file.source}: [{role}] constant")
+            si, constant = "A", _quantity(channel.constant, _CONSTANT, f"{file.source}: [{role}] constant")
         if isinstance(channel, ChannelMapping) and channel.counts_per_turn is not None:
             scale, offset = _TURN / channel.counts_per_turn, 0.0
         elif isinstance(channel, TimeMapping) and channel.rate is not None:
@@ -481,7 +474,7 @@ def constants_of(path: str | os.PathLike[str], mapping: FileMapping) -> dict[str
     for role in CONSTANTS:
         channel = getattr(mapping, role)
         if channel is not None and channel.value is not None:
-            constants[role] = channel.direction * _value(channel.value, role, f"[{role}] value")
+            constants[role] = channel.direction * _quantity(channel.value, SI[role], f"[{role}] value")
         if channel is None or channel.file_name is None:
             continue
         before, after = channel.file_name.split("{}")

@@ -6,6 +6,7 @@ torque, speed and temperature in the file names.
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -87,12 +88,10 @@ def error_runs(looks: Sequence[FirstSamples]) -> list[ErrorRun]:
             return []
         runs.append(ErrorRun(direction or f"run {number}", same[0], error))
     if len({run.name for run in runs}) < len(runs):
-        runs = [ErrorRun(f"run {n}", r.output_angle, r.transmission_error) for n, r in enumerate(runs, start=1)]
+        runs = [dataclasses.replace(run, name=f"run {n}") for n, run in enumerate(runs, start=1)]
     ahead = {run.name: _grows(run.output_angle) for run in runs}
     if ahead.get("forward") is not None and ahead.get("forward") == ahead.get("backward"):
-        runs = [
-            ErrorRun(r.name, r.output_angle, r.transmission_error, last_row_first=r.name == "backward") for r in runs
-        ]
+        runs = [dataclasses.replace(run, last_row_first=run.name == "backward") for run in runs]
     return runs
 
 

@@ -107,10 +107,8 @@ def fit_displacement(torque: ArrayLike, displacement: ArrayLike) -> Displacement
     t, y = np.asarray(torque, dtype=float), np.asarray(displacement, dtype=float)
     if t.size < 3 or np.ptp(t) == 0.0:
         raise ValueError("a line with its uncertainty needs at least three points and two torques")
-    matrix = np.column_stack([t, np.ones_like(t)])
-    (slope, offset), *_ = np.linalg.lstsq(matrix, y, rcond=None)
+    (slope, offset), covariance = np.polyfit(t, y, 1, cov=True)
     scatter = math.sqrt(float(((y - slope * t - offset) ** 2).sum()) / (t.size - 2))
-    covariance = scatter**2 * np.linalg.inv(matrix.T @ matrix)
     return Displacement(float(slope), float(offset), covariance, scatter, float(t.min()), float(t.max()))
 
 

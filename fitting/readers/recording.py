@@ -7,12 +7,11 @@ are missing or left out are marked and counted, never filled in silently.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import hashlib
-import io
 import itertools
 import math
 import os
-import threading
 from collections.abc import Iterator, Mapping
 from concurrent import futures
 from dataclasses import dataclass
@@ -198,8 +197,6 @@ class RecordingStream:
         self.notes: list[str] = []
         self.alignment = self.torque_alignment = 0.0
         self.speed: float | None = self._constants.pop("speed", None)
-        self._digest: list[str] = []
-        self._digesting: threading.Thread | None = None
 
     def _refer_to_output(self) -> list[str]:
         """Convert what is measured on the motor to the output, and return its roles.
@@ -243,24 +240,11 @@ class RecordingStream:
             output_speed=None if limits.output_speed is None else limits.output_speed / abs(self._pulley),
         )
 
-    @property
+    @functools.cached_property
     def checksum(self) -> str:
         """SHA-256 of the file."""
-        self._start_digest().join()
-        return self._digest[0]
-
-    def _start_digest(self) -> threading.Thread:
-        """Start computing the checksum in parallel to reading: hours at kilohertz rates are gigabytes."""
-        if self._digesting is None:
-            # A daemon thread, so that an interrupt or a refused file does not wait for it.
-            file = Path(self._path).open("rb")  # noqa: SIM115
-            self._digesting = threading.Thread(target=self._take_digest, args=(file,), daemon=True)
-            self._digesting.start()
-        return self._digesting
-
-    def _take_digest(self, file: io.BufferedReader) -> None:
-        with file:
-            self._digest.append(hashlib.file_digest(file, "sha256").hexdigest())
+        with Path(self._path).open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
 
     def _zero_reference(self, name: str) -> str:
         channel: ChannelMapping | None = getattr(self._mapping, name)
@@ -280,7 +264,6 @@ class RecordingStream:
         edge.InputError
             If a value of the file is not a number, or it ends before the first sample.
         """
-        self._start_digest()
         return _read_ahead(self._blocks())
 
     def _blocks(self) -> Iterator[Block]:
@@ -350,24 +333,9 @@ class RecordingStream:
 
     def recording(self, columns: Mapping[str, NDArray[Any]]) -> Recording:
         """Return columns of a block as a recording from this file; call it when all blocks have been read."""
-        return Recording(
-            **columns,
-            source=self.source,
-            checksum=self.checksum,
-            ratio=self.ratio,
-            pair=self.pair,
-            common_zero=self.common_zero,
-            known_index=self.known_index,
-            notes=tuple(self.notes),
-            alignment=self.alignment,
-            torque_alignment=self.torque_alignment,
-            limits=self.limits,
-            speed=self.speed,
-            timed=self.timed,
-            has_input_angle=self.has_input_angle,
-            locked=self.locked,
-            pulley=self.pulley,
-        )
+        names = {f.name for f in dataclasses.fields(Recording)} - {f.name for f in dataclasses.fields(Block)}
+        about: dict[str, Any] = {name: getattr(self, name) for name in names}
+        return Recording(**{**columns, **about, "notes": tuple(self.notes)})
 
     def _clock_notes(self) -> list[str]:
         """Return notes on channels converted to the host's clock; set `alignment` and `torque_alignment`."""

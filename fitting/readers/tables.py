@@ -385,8 +385,7 @@ class CsvFile(BenchFile):
             ),
             "parse_options": arrow_csv.ParseOptions(delimiter=d.delimiter, invalid_row_handler=refuse),
             "convert_options": arrow_csv.ConvertOptions(
-                column_types={n: pa.string() for n in names},
-                include_columns=list(names),
+                column_types={n: pa.string() for n in names}, include_columns=list(names)
             ),
         }
         cells, line = Cells(self.source, d.decimal), d.skip + 1

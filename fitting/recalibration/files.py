@@ -7,12 +7,12 @@ import os
 from typing import Any
 
 import numpy as np
+import pydantic
 
 from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
 from fitting.model.prior import posterior_about
 from fitting.recalibration.drift import fitted_drive
-from fitting.recalibration.figures import FigureOfDrive
 from fitting.recalibration.recalibrate import Dated, Recalibration
 
 FORMAT = "cycloid-recalibration/1"
@@ -22,30 +22,18 @@ def as_json(result: Recalibration) -> dict[str, Any]:
     """Return a recalibration as the content of a `cycloid-recalibration/1` file (SI)."""
     posterior = result.posterior
     count = len(posterior.errors)
+    same = ("alarm", "told", "better_known", "remaining", "drift_chance", "left_chance", "notes")
     return {
         "format": FORMAT,
-        "alarm": result.alarm,
         "drive": result.drive.hash,
-        "history": [
-            {
-                "crank_turns": one.crank_turns,
-                "alarm": one.alarm,
-                "figures": {n: dataclasses.asdict(f) for n, f in one.figures.items()},
-            }
-            for one in result.history
-        ],
+        "history": [dataclasses.asdict(dated) for dated in result.history],
         "moved": {n: {"by": by, "times": times} for n, (by, times) in result.moved.items()},
-        "told": result.told,
-        "better_known": list(result.better_known),
-        "remaining": result.remaining,
-        "drift_chance": result.drift_chance,
-        "left_chance": result.left_chance,
         "bench": {
             "names": list(posterior.bench),
             "mean": posterior.bench_mean,
             "covariance": posterior.covariance[count : count + len(posterior.bench)],
         },
-        "notes": list(result.notes),
+        **{name: getattr(result, name) for name in same},
     }
 
 
@@ -94,33 +82,18 @@ def read_recalibration(path: str | os.PathLike[str], drive: Drive) -> Recalibrat
         mean = np.array(bench["mean"], dtype=float).reshape(len(names))
         if not (np.isfinite(covariance).all() and np.isfinite(mean).all()):
             raise ValueError("not finite")
-        history = tuple(
-            Dated(
-                float(one["crank_turns"]),
-                {
-                    str(n): FigureOfDrive(
-                        float(f["value"]),
-                        (float(f["interval"][0]), float(f["interval"][1])),
-                        float(f["standard_error"]),
-                    )
-                    for n, f in one["figures"].items()
-                },
-                str(one["alarm"]),
-            )
-            for one in data["history"]
-        )
         recalibration = Recalibration(
             drive=drive,
             alarm=str(data["alarm"]),
-            history=history,
+            history=pydantic.TypeAdapter(tuple[Dated, ...]).validate_python(data["history"]),
             moved={str(n): (float(m["by"]), float(m["times"])) for n, m in data["moved"].items()},
             told=np.array(data["told"], dtype=float),
-            better_known=tuple(str(one) for one in data["better_known"]),
+            better_known=tuple(map(str, data["better_known"])),
             remaining=int(data["remaining"]),
             drift_chance=float(data["drift_chance"]),
             left_chance=float(data["left_chance"]),
             posterior=posterior_about(drive, own.errors, names, mean, covariance),
-            notes=tuple(str(one) for one in data["notes"]),
+            notes=tuple(map(str, data["notes"])),
         )
         if not recalibration.history:
             raise ValueError("no date")

@@ -9,31 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from cycloid_fmu import edge
-from cycloid_fmu.draw.pages import made_now
-from fitting.figures.budget import BUDGET_HEAD, field_factor
+from cycloid_fmu.draw.pages import Table
+from fitting.figures.budget import field_factor
 from fitting.figures.conformity import RULES, Certificate, Decision, decisions_of, verdict_of
 from fitting.figures.metrics import Figures
-from fitting.reports.figures_report import BUDGETS, SOURCES, budget_tables, sources_of, title_of
-from fitting.reports.page import html_page
+from fitting.reports.figures_report import budget_tables, data_of, title_of
+from fitting.reports.page import Part, write_page
 from fitting.reports.panels import Panel, Trace
-
-FORMATS = (".html",)
-_PAGE = """<p id="verdict"><strong>Verdict: {{ verdict }}</strong></p>
-{% for title, rows in tables %}<section><h2>{{ title }}</h2><table class="facts"><tbody>
-{% for name, value in rows %}<tr><th>{{ name }}</th><td>{{ value }}</td></tr>
-{% endfor %}</tbody></table></section>
-{% endfor %}<section><h2>Instruments</h2><table id="instruments"><thead><tr><th>Measures</th><th>Instrument</th>
-<th>Serial number</th><th>Calibrated</th></tr></thead><tbody>
-{% for row in instruments %}<tr>{% for cell in row %}<td>{{ cell }}</td>{% endfor %}</tr>
-{% endfor %}</tbody></table></section>
-<section><h2>Results</h2><table id="results"><thead><tr><th>Figure</th><th>Value</th><th>± U</th><th>k</th><th>Unit</th>
-<th>Min</th><th>Max</th><th>Decision</th></tr></thead><tbody>
-{% for row in results %}<tr>{% for cell in row[:-1] %}<td class="{{ 'number' if 0 < loop.index0 < 4 }}">{{ cell }}</td>
-{% endfor %}<td><strong>{{ row[-1] }}</strong></td></tr>
-{% endfor %}</tbody></table>
-<p class="caption">U is the expanded uncertainty for 95 % (JCGM 100:2008); there is no decision without limits.</p>
-<p id="rule">Decision rule: {{ rule }}</p></section>
-"""
 
 
 def write_certificate(figures: Figures, certificate: Certificate, path: str | os.PathLike[str]) -> None:
@@ -44,19 +26,19 @@ def write_certificate(figures: Figures, certificate: Certificate, path: str | os
     edge.InputError
         If the instruments, which the decisions need, are not stated, or the name has another ending.
     """
-    target = edge.output_path(path, "path", FORMATS)
+    from markupsafe import Markup
+
     if figures.instruments is None:
         raise edge.InputError(
             "certificate: it needs the instruments of the bench; state them in a file (--instruments)."
         )
-    decisions = decisions_of(figures, certificate)
-    device = certificate.device
-    tables = [
-        ("Device", [("Type", device.name), ("Serial number", device.serial_number), ("Maker", device.maker)]),
-        ("Conditions", [*_loads(figures), *certificate.conditions.items()]),
-    ]
-    if certificate.number or certificate.issued_by:
-        tables.insert(0, ("Certificate", [("Number", certificate.number), ("Issued by", certificate.issued_by)]))
+    decisions, device = decisions_of(figures, certificate), certificate.device
+    facts = {
+        "Certificate": [("Number", certificate.number), ("Issued by", certificate.issued_by)],
+        "Device": [("Type", device.name), ("Serial number", device.serial_number), ("Maker", device.maker)],
+        "Conditions": [*_loads(figures), *certificate.conditions.items()],
+    }
+    stated = {title: [(name, text) for name, text in rows if text] for title, rows in facts.items()}
     instruments = [
         [
             name.replace("_", " "),
@@ -66,24 +48,15 @@ def write_certificate(figures: Figures, certificate: Certificate, path: str | os
         ]
         for name, instrument in figures.instruments.stated.items()
     ]
-    page = html_page(
-        "Certificate of measurement",
-        made_now(),
-        _PAGE,
-        _limit_panels(decisions),
-        BUDGETS + SOURCES,
-        verdict=verdict_of(decisions),
-        tables=[(t, [(n, v) for n, v in rows if v]) for t, rows in tables],
-        instruments=instruments,
-        results=_results(figures, decisions),
-        rule=RULES[certificate.decision_rule],
-        budgets=budget_tables(figures),
-        budget_head=BUDGET_HEAD,
-        notes=figures.notes,
-        sources=sources_of(figures),
-    )
-    with edge.written_whole(target) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+    head = ("Measures", "Instrument", "Serial number", "Calibrated")
+    above: list[Part] = [
+        Markup('<p id="verdict"><strong>Verdict: {}</strong></p>').format(verdict_of(decisions)),
+        *(Table(title, (), rows) for title, rows in stated.items() if rows),
+        Table("Instruments", head, instruments, "instruments"),
+        _results(figures, decisions, RULES[certificate.decision_rule]),
+    ]
+    below: list[Part] = [*budget_tables(figures), *data_of(figures)]
+    write_page(path, "Certificate of measurement", [], _limit_panels(decisions), above, below)
 
 
 def _loads(figures: Figures) -> list[tuple[str, str]]:
@@ -109,10 +82,16 @@ def _shown(value: float, expanded: float) -> str:
     return f"{value:.{digits}f}"
 
 
-def _results(figures: Figures, decisions: list[Decision]) -> list[list[str]]:
+def _results(figures: Figures, decisions: list[Decision], rule: str) -> Table:
     """Return the table of figures with their expanded uncertainties; those with limits first."""
+    limited = {decision.figure for decision in decisions}
+    others = [
+        Decision(name, budget.unit, budget.value, budget.expanded, budget.coverage_factor)
+        for name, budget in figures.budgets.items()
+        if name not in limited
+    ]
     rows = []
-    for decision in decisions:
+    for decision in (*decisions, *others):
         factor, unit = field_factor(decision.unit)
         expanded = decision.expanded * factor
         rows.append(
@@ -127,24 +106,12 @@ def _results(figures: Figures, decisions: list[Decision]) -> list[list[str]]:
                 decision.verdict,
             ]
         )
-    limited = {decision.figure for decision in decisions}
-    for name, budget in figures.budgets.items():
-        if name not in limited:
-            factor, unit = field_factor(budget.unit)
-            expanded = budget.expanded * factor
-            rows.append(
-                [
-                    title_of(name),
-                    _shown(budget.value * factor, expanded),
-                    _shown(expanded, expanded),
-                    f"{budget.coverage_factor:.2f}",
-                    unit,
-                    "",
-                    "",
-                    "",
-                ]
-            )
-    return rows
+    head = ("Figure", "Value", "± U", "k", "Unit", "Min", "Max", "Decision")
+    caption = (
+        "U is the expanded uncertainty for 95 % (JCGM 100:2008); there is no decision without limits. Decision rule: "
+        f"{rule}"
+    )
+    return Table("Results", head, rows, "results", ("", "number", "number", "number", "", "", "", "strong"), caption)
 
 
 def _limit_panels(decisions: list[Decision]) -> list[Panel]:

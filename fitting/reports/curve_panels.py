@@ -11,7 +11,7 @@ from cycloid_fmu.analysis import solve
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.edge import ARCSEC
-from fitting.reports.panels import Panel, Trace, band, label_of
+from fitting.reports.panels import Panel, Trace, band, label_of, turn_panel
 from fitting.transmission_error.curve import Curve
 
 Array = NDArray[np.float64]
@@ -20,14 +20,12 @@ ERROR = "transmission error [arcsec]"
 
 def curve_panels(curves: Sequence[Curve]) -> list[Panel]:
     """Return the panels of curves over the output turn, and over the crank turn."""
-    whole, folded = [], []
+    folded = []
     for number, curve in enumerate(curves):
-        error = curve.transmission_error * ARCSEC
-        turn, crank = (np.degrees(x) for x in (curve.input_angle / abs(curve.ratio), curve.input_angle % (2.0 * np.pi)))
-        whole.append(Trace(label_of(curve), turn, error, "thin", number))
-        folded.append(Trace("", crank, error, "dots", number))
+        crank = np.degrees(curve.input_angle % (2.0 * np.pi))
+        folded.append(Trace("", crank, curve.transmission_error * ARCSEC, "dots", number))
     return [
-        Panel("Over the output turn", "output turn [°]", ERROR, tuple(whole), ""),
+        turn_panel(curves, "Over the output turn"),
         Panel("Over the crank turn, all turns folded", "crank angle [°]", ERROR, tuple(folded), ""),
     ]
 
@@ -60,10 +58,7 @@ def band_panels(drive: Drive, drawn: Sequence[Drive], torque: float) -> list[Pan
 
     identified, turns = error(drive), angle / (2.0 * np.pi)
     low, high = np.quantile([error(drive) for drive in drawn], [0.025, 0.975], axis=0)
-    whole = (
-        band(f"95 % of {len(drawn)} drawn", turns, low, high),
-        Trace("identified", turns, identified, "thin"),
-    )
+    whole = (band(f"95 % of {len(drawn)} drawn", turns, low, high), Trace("identified", turns, identified, "thin"))
     difference = (band("", turns, low - identified, high - identified),)
     return [
         Panel(f"{torque:+.4g} N·m", "crank turns", ERROR, whole, ""),

@@ -7,12 +7,11 @@ import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cycloid_fmu import edge
-from cycloid_fmu.draw.pages import made_now
+from cycloid_fmu.draw.pages import Sentences, Table
 from cycloid_fmu.edge import ARCMIN, ARCSEC
 from cycloid_fmu.errors.kinds import kind_of
 from cycloid_fmu.surfaces.sampling import PitchErrors, Tolerances
@@ -24,15 +23,19 @@ from fitting.model.discrepancy import SENTENCES
 from fitting.model.loops import LoopFit
 from fitting.model.observations import CHAIN, MISFIT
 from fitting.reports.curve_panels import comparison_panels
-from fitting.reports.page import html_page
+from fitting.reports.figures_report import notes_of
+from fitting.reports.page import Part, write_page
 from fitting.reports.panels import Panel, Trace, spectra_panel
 from fitting.reports.ring import ring_panel
 from fitting.transmission_error.spectrum import spectrum
 
-FORMATS = (".html",)
+if TYPE_CHECKING:
+    from markupsafe import Markup
+
 _CRANK_TURNS = 3.0  # range of the first panel
 _SHOWN = 0.01  # of the largest effect: errors with less are only counted
-_FIELD_UNITS = {"m": (1e6, "µm"), "rad": (1e3, "mrad"), "1": (1.0, "of the stated")}
+FIELD_UNITS = {"m": (1e6, "µm"), "rad": (1e3, "mrad"), "1": (1.0, "of the stated")}
+"""{SI unit of an error: factor to the unit in which it is shown, and that unit}."""
 
 
 def fit_panels(result: Identification) -> list[Panel]:
@@ -49,8 +52,7 @@ def fit_panels(result: Identification) -> list[Panel]:
         ),
         dataclasses.replace(
             residual,
-            caption=f"{result.residual / _ARC:.3f}″ rms residual; the noise of a point is {result.noise / _ARC:.3f}″. "
-            "Click a curve's name to hide it; double-click it to hide all others.",
+            caption=f"{quality_of(result)[0]} Click a curve's name to hide it; double-click it to hide all others.",
         ),
     ]
     orders = spectra_panel(rest, [spectrum(c) for c in rest], result.pair, "Orders of the residual")
@@ -68,7 +70,7 @@ def _loop_panels(loop: LoopFit) -> list[Panel]:
         measured, fitted = loop.measured[branch], loop.fitted[branch]
         both.append(Trace("measured" if number == 0 else "", at, (measured - middle) * ARCMIN, "points", -1))
         both.append(Trace(branch, at, (fitted - middle) * ARCMIN, "thin", number))
-        residuals.append(Trace(branch, at, (measured - fitted) / _ARC, "thin", number))
+        residuals.append(Trace(branch, at, (measured - fitted) * ARCSEC, "thin", number))
     return [
         Panel(
             name,
@@ -105,74 +107,49 @@ def _intervals(parameters: Sequence[Parameter]) -> Panel:
     )
 
 
-_ARC = 1.0 / ARCSEC
-
-_ABOVE = """<p id="verdict"><strong>{{ verdict }}</strong></p>
-{% if not has_index %}<p id="no-index">The recordings have no index: it is unknown which pin is number 0. Numbers and
-angles of pins and teeth count from an unknown one.</p>
-{% endif %}<h2>What to correct, by the effect on the transmission error</h2>
-<table id="effects"><thead><tr><th>Error</th><th>Effect [arcsec]</th><th>Identified</th><th>95 % interval</th>
-<th>Largest at</th>{% if drawing %}<th>Drawing allows</th>{% endif %}</tr></thead><tbody>
-{% for r in effects %}<tr><td>{{ r.name }}</td><td class="number">{{ r.effect }}</td>
-<td class="number">{{ r.value }}</td><td class="number">{{ r.interval }}</td><td class="number">{{ r.at }}</td>
-{% if drawing %}<td>{{ r.tolerance }}</td>{% endif %}</tr>
-{% endfor %}</tbody></table>
-<p class="caption">Effect: largest minus smallest contribution to the transmission error in one recording, by the
-derivatives at this drive, at the load at which it is largest. Orders are those of this ring and gear, with their
-amplitudes. They are largest at this angle from pin or tooth 0, and again after each turn divided by the order.
-{{ rest }}{% if not drawing %}With --tolerances the drawing's tolerances stand beside the errors.{% endif %}</p>
-<h2>Quality of the fit</h2><ul id="trust">{% for t in trust %}<li>{{ t }}</li>{% endfor %}</ul>
-"""
-_BELOW = """<h2>All fitted errors</h2>
-<p class="caption">By their names in files. Orders of pins and teeth are the mean of rings with the same scatter.</p>
-<table id="errors"><thead><tr><th>Error</th><th>Identified</th><th>95 % interval</th><th>Unit</th>
-<th>From the data</th></tr></thead><tbody>
-{% for r in known %}<tr><td>{{ r.name }}</td><td class="number">{{ r.value }}</td><td class="number">{{ r.interval }}
-</td><td>{{ r.unit }}</td><td class="number">{{ r.share }}</td></tr>
-{% endfor %}</tbody></table>
-<h2>Correlation of the fitted errors</h2>
-<table id="correlation" style="font-size:.62em; table-layout:fixed"><tbody>
-{% for row in correlation %}<tr><td style="width:22em">{{ row.number }} {{ row.name }}</td>
-{% for c in row.cells %}<td style="padding:0; text-align:center; background:rgba({{ c.colour }})">{{ c.text }}</td>
-{% endfor %}</tr>{% endfor %}</tbody></table>
-<p class="caption">In percent; columns in the order of the rows. Red: positive; blue: negative.</p>
-<h2>Errors that the data cannot resolve</h2><ul id="weak">{% for w in weak %}<li>{{ w }}</li>{% endfor %}</ul>
-<table id="held"><thead><tr><th>Held fixed</th><th>Reason</th></tr></thead><tbody>
-{% for p in held %}<tr><td>{{ p.name }}</td><td>{{ p.held }}</td></tr>
-{% endfor %}</tbody></table>
-<h2>Every pin and tooth of this ring</h2>
-<ul id="gauge">{% for g in gauge %}<li>{{ g }}</li>{% endfor %}</ul>
-{% for t in ring %}<table id="{{ t.id }}"><thead><tr><th>{{ t.of }}</th>{% for n in t.columns %}<th>{{ n }}</th>
-{% endfor %}</tr></thead><tbody>{% for r in t.rows %}<tr>{% for cell in r %}<td class="number wrapped">{{ cell }}</td>
-{% endfor %}</tr>{% endfor %}</tbody></table>
-<p class="caption">{{ t.caption }}</p>
-{% endfor %}
-<h2>The bench</h2><table id="bench"><tbody>{% for name, value in bench %}<tr><td>{{ name }}</td>
-<td class="number">{{ value }}</td></tr>
-{% endfor %}</tbody></table>
-<h2>Notes</h2>{% if notes %}<ul id="notes">{% for n in notes %}<li>{{ n }}</li>{% endfor %}</ul>{% else %}
-<p id="notes">No data were excluded.</p>{% endif %}
-<h2>Recordings</h2><table id="recordings"><thead><tr><th>File</th><th>SHA-256</th></tr></thead><tbody>
-{% for name, checksum in sources %}<tr><td>{{ name }}</td><td><code>{{ checksum }}</code></td></tr>
-{% endfor %}</tbody></table>
-"""
+def error_rows(result: Identification) -> list[list[str]]:
+    """Return the rows of all fitted errors: name, value, 95 % interval, unit, and share from the data."""
+    rows = []
+    for parameter in (*result.parameters, *result.bearings, *result.coefficients):
+        if parameter.held is not None:
+            continue
+        factor, unit = FIELD_UNITS[parameter.unit]
+        low, high = (v * factor for v in parameter.interval)
+        interval = "withheld" if math.isnan(low) else f"{low:.3f} … {high:.3f}"
+        share = f"{100.0 * parameter.data_share:.1f} %"
+        rows.append([parameter.name, f"{parameter.value * factor:.3f}", interval, unit, share])
+    return rows
 
 
-def _row(parameter: Parameter) -> dict[str, str]:
-    factor, unit = _FIELD_UNITS[parameter.unit]
-    low, high = (v * factor for v in parameter.interval)
-    interval = "withheld" if math.isnan(low) else f"{low:.3f} … {high:.3f}"
-    return {
-        "name": parameter.name,
-        "value": f"{parameter.value * factor:.3f}",
-        "interval": interval,
-        "unit": unit,
-        "share": f"{100.0 * parameter.data_share:.1f} %",
-    }
+def held_rows(result: Identification) -> list[list[str]]:
+    """Return the rows of the errors that are held fixed: name and reason."""
+    every = (*result.parameters, *result.bearings, *result.coefficients)
+    return [[parameter.name, parameter.held] for parameter in every if parameter.held is not None]
 
 
-def _effect_row(effect: Effect, tolerances: Tolerances | None) -> dict[str, str]:
-    factor, unit = _FIELD_UNITS[effect.error.unit]
+def _effects(result: Identification) -> Table:
+    """Return the table of errors by their effect on the transmission error."""
+    shown = [effect for effect in result.effects if effect.peak_to_peak > _SHOWN * result.effects[0].peak_to_peak]
+    more = len(result.effects) - len(shown)
+    rest = f"{more} more errors have an effect below {100.0 * _SHOWN:g} % of the largest. " if more else ""
+    head = ["Error", "Effect [arcsec]", "Identified", "95 % interval", "Largest at"]
+    if result.tolerances is None:
+        rest += "With --tolerances the drawing's tolerances stand beside the errors."
+    else:
+        head.append("Drawing allows")
+    caption = (
+        "Effect: largest minus smallest contribution to the transmission error in one recording, by the derivatives at "
+        "this drive, at the load at which it is largest. Orders are those of this ring and gear, with their "
+        "amplitudes. They are largest at this angle from pin or tooth 0, and again after each turn divided by the "
+        f"order. {rest}"
+    )
+    rows = [_effect_row(effect, result.tolerances) for effect in shown]
+    title = "What to correct, by the effect on the transmission error"
+    return Table(title, head, rows, "effects", ("", "number", "number", "number", "number"), caption)
+
+
+def _effect_row(effect: Effect, tolerances: Tolerances | None) -> list[str]:
+    factor, unit = FIELD_UNITS[effect.error.unit]
     low, high = (v * factor for v in effect.error.interval)
     digits = 3 if math.isnan(low) else min(max(1 - math.floor(math.log10(max(0.5 * (high - low), 1e-3))), 0), 3)
     at = ""
@@ -185,14 +162,14 @@ def _effect_row(effect: Effect, tolerances: Tolerances | None) -> dict[str, str]
     stated = f"{low:.{digits}f} … {high:.{digits}f}"
     if math.isnan(low):
         stated = "" if math.isnan(effect.error.standard_error) else "withheld"
-    return {
-        "name": words_of(effect),
-        "effect": f"{effect.peak_to_peak * ARCSEC:.2f}",
-        "value": f"{effect.error.value * factor:.{digits}f} {unit}",
-        "interval": stated,
-        "at": at,
-        "tolerance": "" if tolerances is None else _allowed(effect.kind, tolerances),
-    }
+    return [
+        words_of(effect),
+        f"{effect.peak_to_peak * ARCSEC:.2f}",
+        f"{effect.error.value * factor:.{digits}f} {unit}",
+        stated,
+        at,
+        *([] if tolerances is None else [_allowed(effect.kind, tolerances)]),
+    ]
 
 
 def _allowed(name: str, tolerances: Tolerances) -> str:
@@ -202,7 +179,7 @@ def _allowed(name: str, tolerances: Tolerances) -> str:
     stated = None if of is None else tolerances.of(of.key)
     if kind is None or of is None or stated is None:
         return ""
-    factor, unit = _FIELD_UNITS[kind.unit]
+    factor, unit = FIELD_UNITS[kind.unit]
     if isinstance(stated, PitchErrors):
         return f"single ± {stated.single * factor:g}, cumulative {stated.cumulative * factor:g} {unit}"
     own = f"± {stated.tolerance * of.share * factor:g} {unit}"
@@ -219,112 +196,128 @@ def _with_interval(parameter: Parameter) -> str:
     return f"({text})" if parameter.held else text
 
 
-def _ring_tables(ring: Realised) -> list[dict[str, Any]]:
+def _ring_tables(ring: Realised) -> list[Table]:
     """Return the tables of every pin and tooth and of this ring's orders, with one column per circle."""
     circles = [ring.elements[part] for part in ring.circles.values()]
-    columns = [name.replace("_", " ") for name in ring.circles]
     elements = [
-        [i, *(_with_interval(circle[i]) if i < len(circle) else "" for circle in circles)]
+        [str(i), *(_with_interval(circle[i]) if i < len(circle) else "" for circle in circles)]
         for i in range(max(len(circle) for circle in circles))
     ]
     stated = {parameter.name: parameter for parameter in ring.orders}
     orders = []
     for order in range(ORDERS_STATED + 1):
-        row = []
+        row = [str(order)]
         for name in ring.circles:
             parameters = [stated.get(f"{name}_{order}{part}") for part in ("", "_amplitude", "_phase")]
             row.append(
                 " at ".join(_with_interval(parameter) for parameter in parameters if parameter is not None) or "–"
             )
-        orders.append([order, *row])
+        orders.append(row)
+    columns = [name.replace("_", " ") for name in ring.circles]
+    styles = ["number wrapped"] * (1 + len(columns))
+    of_orders = (
+        "Amplitudes of this ring's own orders, µm, at their phases (order times angle), with half the 95 % intervals. "
+        "The table of fitted errors has the mean orders of rings with the same scatter, which are known less "
+        "accurately."
+    )
+    of_elements = (
+        "In µm, with half widths of the 95 % intervals; in brackets if a pin or tooth carries almost no load in these "
+        "curves and is constrained only by its neighbours."
+    )
     return [
-        {
-            "id": "realised-orders",
-            "of": "Order",
-            "columns": columns,
-            "rows": orders,
-            "caption": "Amplitudes of this ring's own orders, µm, at their phases (order times angle), with half the "
-            "95 % intervals. The table of fitted errors has the mean orders of rings with the same scatter, which are "
-            "known less accurately.",
-        },
-        {
-            "id": "realised",
-            "of": "Pin or tooth",
-            "columns": columns,
-            "rows": elements,
-            "caption": "In µm, with half widths of the 95 % intervals; in brackets if a pin or tooth carries almost no "
-            "load in these curves and is constrained only by its neighbours.",
-        },
+        Table("", ["Order", *columns], orders, "realised-orders", styles, of_orders),
+        Table("", ["Pin or tooth", *columns], elements, "realised", styles, of_elements),
     ]
 
 
-def _correlation(result: Identification) -> list[dict[str, Any]]:
-    rows = []
-    for number, (name, values) in enumerate(zip(result.fitted, result.correlation, strict=True), start=1):
-        cells = [
-            {"text": f"{round(100.0 * v):d}", "colour": f"{'214,39,40' if v > 0 else '31,119,180'},{abs(v):.2f}"}
-            for v in values
-        ]
-        rows.append({"number": number, "name": name, "cells": cells})
-    return rows
+def _correlation(result: Identification) -> Markup:
+    """Return the correlation of the fitted errors as a table of coloured cells."""
+    from markupsafe import Markup
+
+    cell = Markup('<td style="padding:0; text-align:center; background:rgba({},{:.2f})">{:d}</td>')
+    rows = [
+        Markup('<tr><td style="width:22em">{} {}</td>{}</tr>').format(
+            number,
+            name,
+            Markup("").join(
+                cell.format("214,39,40" if v > 0 else "31,119,180", abs(v), round(100.0 * v)) for v in values
+            ),
+        )
+        for number, (name, values) in enumerate(zip(result.fitted, result.correlation, strict=True), start=1)
+    ]
+    return Markup(
+        '<h2>Correlation of the fitted errors</h2><table id="correlation" style="font-size:.62em; table-layout:fixed">'
+        '<tbody>{}</tbody></table><p class="caption">In percent; columns in the order of the rows. Red: positive; '
+        "blue: negative.</p>"
+    ).format(Markup("").join(rows))
 
 
-def _trust(result: Identification) -> list[str]:
-    trust = [
-        f"{result.residual / _ARC:.3f}″ rms residual of the curves; the noise of a point is {result.noise / _ARC:.3f}″."
+def quality_of(result: Identification) -> list[str]:
+    """Return sentences on the quality of a fit: residual, prediction of held-out curves, scatter, and loops."""
+    sentences = [
+        f"Residual {result.residual * ARCSEC:.3f}″ rms of the curves; the noise of a point is "
+        f"{result.noise * ARCSEC:.3f}″."
     ]
     if result.held_out is not None:
         prediction = result.held_out
-        trust.append(
-            f"{prediction.loads} were held out from a first fit, which predicts them: residual "
-            f"{prediction.residual / _ARC:.3f}″ rms, {prediction.residual / prediction.noise:.2f} times the noise."
+        sentences.append(
+            f"Held out from a first fit, which predicts it: {prediction.loads}: residual "
+            f"{prediction.residual * ARCSEC:.3f}″ rms, noise {prediction.noise * ARCSEC:.3f}″."
         )
     else:
-        trust.append("No curve was held out for prediction, which requires three curves.")
+        sentences.append("No curve was held out for prediction, which requires three curves.")
     scatter = ", ".join(f"{n} {v * 1e6:.2f} µm" for n, v in result.scatter.items())
-    trust.append(f"Scatter of single pins and teeth beyond the errors of the table: {scatter} (standard deviations).")
+    sentences.append(
+        f"Scatter of single pins and teeth beyond the errors of the table: {scatter} (standard deviations)."
+    )
     for loop in result.loops:
         residual = np.concatenate([loop.measured[n] - loop.fitted[n] for n in loop.fitted])
-        trust.append(
-            f"{Path(loop.source).name}: the play at the crank angle {np.degrees(loop.crank_angle):.1f}° is "
-            f"{loop.play / _ARC:.2f} ± {1.96 * loop.standard_error / _ARC:.2f}″ from the identified errors; "
-            f"{np.sqrt(np.mean(residual**2)) / _ARC:.3f}″ rms residual of the loop's points."
+        sentences.append(
+            f"{Path(loop.source).name}: play at the crank angle {np.degrees(loop.crank_angle):.1f}°: "
+            f"{loop.play * ARCSEC:.2f} ± {NORMAL * loop.standard_error * ARCSEC:.2f}″ from the identified errors; "
+            f"{np.sqrt(np.mean(residual**2)) * ARCSEC:.3f}″ rms residual of the loop's points."
         )
     if result.inflation > 1.0:
-        trust.append(f"The residual is not white: intervals are {result.inflation:.2f} times those of white noise.")
-    return trust
+        sentences.append(f"The residual is not white: intervals are {result.inflation:.2f} times those of white noise.")
+    return sentences
 
 
 def write_fit_report(result: Identification, path: str | os.PathLike[str]) -> None:
     """Write the report of a fit as one self-contained HTML file; never a partial file."""
-    target, pair = edge.output_path(path, "path", FORMATS), result.pair
-    shown = [effect for effect in result.effects if effect.peak_to_peak > _SHOWN * result.effects[0].peak_to_peak]
-    more = len(result.effects) - len(shown)
-    rest = f"{more} more errors have an effect below {100.0 * _SHOWN:g} % of the largest. " if more else ""
-    text = html_page(
-        "Identified drive",
-        f"{pair.gear_teeth}/{pair.pins}, {len(result.curves)} curves, {made_now()}",
-        _ABOVE,
-        fit_panels(result),
-        _BELOW,
-        verdict=result.verdict.sentence,
-        has_index=all(c.known_index for c in result.curves),
-        drawing=result.tolerances is not None,
-        rest=rest,
-        effects=[_effect_row(effect, result.tolerances) for effect in shown],
-        known=[_row(p) for p in (*result.parameters, *result.bearings, *result.coefficients) if p.held is None],
-        trust=_trust(result),
-        correlation=_correlation(result),
-        weak=result.weak_combinations,
-        held=[p for p in (*result.parameters, *result.bearings, *result.coefficients) if p.held is not None],
-        gauge=(*GAUGE, f"radius_lever is {result.realised.radius_lever:.2f}."),
-        ring=_ring_tables(result.realised),
-        bench=_bench_rows(result),
-        notes=result.notes,
-        sources=[(Path(n).name, c) for n, c in result.checksums.items()],
+    from markupsafe import Markup
+
+    above: list[Part] = [Markup('<p id="verdict"><strong>{}</strong></p>').format(result.verdict.sentence)]
+    if not all(curve.known_index for curve in result.curves):
+        above.append(
+            Markup(
+                '<p id="no-index">The recordings have no index: it is unknown which pin is number 0. Numbers and '
+                "angles of pins and teeth count from an unknown one.</p>"
+            )
+        )
+    above += [_effects(result), Sentences("Quality of the fit", quality_of(result), "trust")]
+    errors = Table(
+        "All fitted errors",
+        ("Error", "Identified", "95 % interval", "Unit", "From the data"),
+        error_rows(result),
+        "errors",
+        ("", "number", "number", "", "number"),
+        "By their names in files. Orders of pins and teeth are the mean of rings with the same scatter.",
     )
-    with edge.written_whole(target) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    gauge = (*GAUGE, f"radius_lever is {result.realised.radius_lever:.2f}.")
+    sources = [(Path(name).name, checksum) for name, checksum in result.checksums.items()]
+    below: list[Part] = [
+        errors,
+        _correlation(result),
+        Sentences("Errors that the data cannot resolve", result.weak_combinations, "weak", "All are resolved."),
+        Table("", ("Held fixed", "Reason"), held_rows(result), "held"),
+        Sentences("Every pin and tooth of this ring", gauge, "gauge"),
+        *_ring_tables(result.realised),
+        Table("The bench", (), _bench_rows(result), "bench", ("", "number")),
+        notes_of(result.notes),
+        Table("Recordings", ("File", "SHA-256"), sources, "recordings", ("", "code")),
+    ]
+    facts = [f"{result.pair.gear_teeth}/{result.pair.pins}", f"{len(result.curves)} curves"]
+    write_page(path, "Identified drive", facts, fit_panels(result), above, below)
 
 
 def _bench_rows(result: Identification) -> list[tuple[str, str]]:

@@ -8,22 +8,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cycloid_fmu import edge
-from cycloid_fmu.draw.pages import made_now
 from cycloid_fmu.edge import ARCMIN, ARCSEC
-from fitting.reports.page import html_page
+from fitting.figures.maps import DIRECTIONS
+from fitting.reports.figures_report import notes_of
+from fitting.reports.page import write_page
 from fitting.reports.panels import HeatMap, Panel, Trace
 
 if TYPE_CHECKING:
     import xarray as xr
 
 _RPM = 30.0 / math.pi
-_ABOVE = """<p>{{ curves }} curves. {{ axis }}</p>
-"""
-_BELOW = """<h2>Excluded data and notes</h2>
-{% if notes %}<ul id="notes">{% for n in notes %}<li>{{ n }}</li>{% endfor %}</ul>{% else %}
-<p id="notes">No data were excluded.</p>{% endif %}
-"""
 
 
 def map_panels(dataset: xr.Dataset) -> list[Panel]:
@@ -31,34 +25,30 @@ def map_panels(dataset: xr.Dataset) -> list[Panel]:
 
     Parameters
     ----------
-    found
+    dataset
         Result of `fitting.maps`.
     """
     if dataset.torque.size == dataset.speed.size == dataset.temperature.size == 1:
         return [_bars(dataset)]
-    two = [("forward", "forward"), ("backward", "backward")]
-    shown = [
-        ("angular_transmission_error", "Angular transmission error", "arcsec", ARCSEC, two),
-        (
-            "angular_transmission_error_without_rig",
-            "Angular transmission error without the rig's orders",
-            "arcsec",
-            ARCSEC,
-            two,
-        ),
-        ("gap", "Gap between directions", "arcsec", ARCSEC, [("", "")]),
-        ("torsional_stiffness", "Torsional stiffness", "N·m/arcmin", 1.0 / ARCMIN, two),
-    ]
+    shown = {
+        "angular_transmission_error": "Angular transmission error",
+        "angular_transmission_error_without_rig": "Angular transmission error without the rig's orders",
+        "gap": "Gap between directions",
+        "torsional_stiffness": "Torsional stiffness",
+    }
     panels = []
-    for name, title, unit, factor, ways in shown:
-        for direction, text in ways:
-            values = dataset[name].sel(direction=direction) if direction else dataset[name]
-            panels += _panel(f"{title}{', ' if text else ''}{text}", unit, dataset, values * factor)
+    for name, title in shown.items():
+        unit, factor = ("N·m/arcmin", 1.0 / ARCMIN) if name == "torsional_stiffness" else ("arcsec", ARCSEC)
+        if name == "gap":
+            panels += _panel(title, unit, dataset, dataset[name] * factor)
+            continue
+        for direction in DIRECTIONS:
+            panels += _panel(f"{title}, {direction}", unit, dataset, dataset[name].sel(direction=direction) * factor)
     for order, kind in zip(dataset.order.values, dataset.order_name.values, strict=True):
-        for direction, text in two:
+        for direction in DIRECTIONS:
             values = dataset.order_amplitude.sel(order=order, direction=direction) * ARCSEC
             of = f" ({kind})" if kind else ""
-            panels += _panel(f"Order {order}{of}, amplitude, {text}", "arcsec", dataset, values)
+            panels += _panel(f"Order {order}{of}, amplitude, {direction}", "arcsec", dataset, values)
     return panels
 
 
@@ -76,14 +66,14 @@ def _bars(dataset: xr.Dataset) -> Panel:
     bars = [
         (name, direction, (each.sel(direction=direction) if direction else each).values.item() * ARCSEC)
         for name, each in values
-        for direction in (("forward", "backward") if "direction" in each.dims else ("",))
+        for direction in (DIRECTIONS if "direction" in each.dims else ("",))
     ]
     bars = [bar for bar in bars if np.isfinite(bar[2])]
     traces: list[Trace] = []
     for row, (_, direction, value) in enumerate(bars):
         label = direction if all(trace.label != direction for trace in traces) else ""
         at = np.full(2, -float(row))
-        traces.append(Trace(label, np.array([0.0, value]), at, "thick", ("forward", "backward", "").index(direction)))
+        traces.append(Trace(label, np.array([0.0, value]), at, "thick", (*DIRECTIONS, "").index(direction)))
     lengths = np.array([value for *_, value in bars])
     column = np.full(lengths.size, lengths.max() + 0.08 * np.ptp([0.0, *lengths]))
     texts = tuple(f"{value:.3g}" for value in lengths)
@@ -139,21 +129,13 @@ def _panel(title: str, unit: str, dataset: xr.Dataset, values: xr.DataArray) -> 
 
 def write_maps_report(dataset: xr.Dataset, path: str | os.PathLike[str]) -> None:
     """Write the page of maps (HTML); never a partial file."""
-    target = edge.output_path(path, "path", (".html",))
+    from markupsafe import Markup
+
     signs = {
         "size": "Torque is the load's magnitude: its sign follows the direction.",
         "signed": "Torque is signed, of the environment on the output.",
     }
-    axis = f"{signs[dataset.attrs['torque_is']]} Forward: the crank angle increases. The gap is forward minus backward."
-    text = html_page(
-        "Maps of a drive",
-        f"ratio {dataset.attrs['ratio']:g}, {made_now()}",
-        _ABOVE,
-        map_panels(dataset),
-        _BELOW,
-        curves=dataset.attrs["curves"],
-        axis=axis,
-        notes=[n for n in dataset.attrs["notes"].split("\n") if n],
-    )
-    with edge.written_whole(target) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    about = Markup("<p>{} curves. {} Forward: the crank angle increases. The gap is forward minus backward.</p>")
+    above = [about.format(dataset.attrs["curves"], signs[dataset.attrs["torque_is"]])]
+    notes = notes_of([note for note in dataset.attrs["notes"].split("\n") if note])
+    write_page(path, "Maps of a drive", [f"ratio {dataset.attrs['ratio']:g}"], map_panels(dataset), above, [notes])

@@ -6,25 +6,31 @@ import base64
 import html
 import json
 import math
+import os
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from cycloid_fmu import edge
-from cycloid_fmu.draw.pages import HTML_HEAD
+from cycloid_fmu.draw.pages import HTML_HEAD, Sentences, Table, html_of, made_now
 from fitting.reports.panels import Panel, Trace, names_above, x_range
+
+if TYPE_CHECKING:
+    from markupsafe import Markup
 
 COLOURS = ("#1f77b4", "#d62728", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf", "#8c564b", "#e377c2")
 GREY = "#777777"
 
 
-_PANELS = """{% for p in panels %}<section><h2>{{ p.title }}</h2><div class="panel" id="panel-{{ loop.index0 }}"
+_PAGE = (
+    HTML_HEAD
+    + """{% for part in above %}{{ part }}{% endfor %}
+{% for p in panels %}<section><h2>{{ p.title }}</h2><div class="panel" id="panel-{{ loop.index0 }}"
 {% if p.y_names|length > 16 %} style="height: {{ 110 + 17 * p.y_names|length }}px"{% endif %}></div>
 <p class="caption">{{ p.caption }}</p></section>
-{% endfor %}
-"""
-_TAIL = """<script>{{ plotly }}</script>
+{% endfor %}{% for part in below %}{{ part }}{% endfor %}
+<script>{{ plotly }}</script>
 <script>
 const panels = {{ data }};
 panels.forEach((p, i) => Plotly.newPlot("panel-" + i, p.data, p.layout, {responsive: true, displaylogo: false}));
@@ -33,21 +39,50 @@ window.matchMedia("print").addEventListener("change", fit);
 window.addEventListener("beforeprint", fit);
 </script></body></html>
 """
+)
+
+Part: TypeAlias = "Table | Sentences | Markup"
+"""A part of a page besides its panels."""
 
 
-def html_page(title: str, facts: str, above: str, panels: Sequence[Panel], below: str, **values: Any) -> str:
-    """Return one self-contained HTML page: content above the panels, the panels, content below.
-
-    `above` and `below` are jinja2 templates, filled with the escaped `values`.
-    """
+def html_page(
+    title: str, facts: str, panels: Sequence[Panel], above: Sequence[Part] = (), below: Sequence[Part] = ()
+) -> str:
+    """Return one self-contained HTML page: parts above the panels, the panels, parts below; texts are escaped."""
     import jinja2
     from markupsafe import Markup
 
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
-    data = json.dumps([_named(_plotly(p)) for p in panels])
-    return environment.from_string(HTML_HEAD + above + _PANELS + below + _TAIL).render(
-        title=title, facts=facts, panels=panels, plotly=Markup(script()), data=Markup(data), **values
+    return environment.from_string(_PAGE).render(
+        title=title,
+        facts=facts,
+        panels=panels,
+        above=[part if isinstance(part, Markup) else html_of(part) for part in above],
+        below=[part if isinstance(part, Markup) else html_of(part) for part in below],
+        plotly=Markup(script()),
+        data=Markup(json.dumps([_named(_plotly(panel)) for panel in panels])),
     )
+
+
+def write_page(
+    path: str | os.PathLike[str],
+    title: str,
+    facts: Sequence[str],
+    panels: Sequence[Panel],
+    above: Sequence[Part] = (),
+    below: Sequence[Part] = (),
+) -> None:
+    """Write a page with the date below its title; never a partial file.
+
+    Raises
+    ------
+    edge.InputError
+        If the name does not end in `.html`, or plotly is not installed.
+    """
+    target = edge.output_path(path, "path", (".html",))
+    text = html_page(title, ", ".join([*facts, made_now()]), panels, above, below)
+    with edge.written_whole(target) as temporary:
+        temporary.write_text(text, encoding="utf-8")
 
 
 def _named(data: Any) -> Any:

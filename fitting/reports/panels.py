@@ -155,7 +155,11 @@ def panels_of(figures: Figures) -> list[Panel]:
     """
     panels = []
     if figures.curves:
-        panels.append(_curves_panel(figures.curves))
+        caption = (
+            "Mean of all turns at each angle, one curve per load and direction; the mean of each curve is subtracted. "
+            "Curves that agree cover each other; on an HTML page, click a curve's name to hide it."
+        )
+        panels.append(turn_panel(figures.curves, "Transmission error over one output turn", caption, centred=True))
         spectra = spectra_panel(figures.curves, figures.spectra, figures.pair, orders=figures.orders)
         if spectra is not None:
             panels.append(spectra)
@@ -186,20 +190,14 @@ def _lightened(panel: Panel) -> Panel:
     return dataclasses.replace(panel, traces=tuple(traces))
 
 
-def _curves_panel(curves: list[Curve]) -> Panel:
+def turn_panel(curves: Sequence[Curve], title: str, caption: str = "", *, centred: bool = False) -> Panel:
+    """Return the panel of curves over the output turn; `centred`: each without its mean."""
     traces = []
     for number, curve in enumerate(curves):
-        error = (curve.transmission_error - curve.transmission_error.mean()) * ARCSEC
+        error = (curve.transmission_error - centred * curve.transmission_error.mean()) * ARCSEC
         turn = np.degrees(curve.input_angle / abs(curve.ratio))
         traces.append(Trace(label_of(curve), turn, error, "thin", number))
-    return Panel(
-        "Transmission error over one output turn",
-        "output turn [°]",
-        "transmission error [arcsec]",
-        tuple(traces),
-        "Mean of all turns at each angle, one curve per load and direction; the mean of each curve is subtracted. "
-        "Curves that agree cover each other; on an HTML page, click a curve's name to hide it.",
-    )
+    return Panel(title, "output turn [°]", "transmission error [arcsec]", tuple(traces), caption)
 
 
 def spectra_panel(
@@ -342,10 +340,7 @@ def _mid_curve_panels(source: str, free: FrictionFree) -> list[Panel]:
         Trace("line up to 70 %", load, fitted, "dashed", 1),
     ]
     seen = "Half the distance of both directions at the same windup, over the spring's torque; both sides."
-    return [
-        first,
-        Panel(f"Friction: {name}", "spring's torque [N·m]", "friction [N·m]", tuple(traces), seen),
-    ]
+    return [first, Panel(f"Friction: {name}", "spring's torque [N·m]", "friction [N·m]", tuple(traces), seen)]
 
 
 def _stiffness_panel(figures: Figures) -> list[Panel]:
@@ -353,25 +348,19 @@ def _stiffness_panel(figures: Figures) -> list[Panel]:
     figure = figures.figures.get("torsional_stiffness")
     if figure is None or len(figure.segments) < 2:
         return []
-    traces = []
+    traces, middles = [], []
     for number, (side, sign) in enumerate(SIDES):
-        of_side = [segment.parts[side] for segment in figure.segments.values() if side in segment.parts]
         label = side
-        for segment in of_side:
-            assert segment.interval is not None
-            at = sign * np.array(segment.interval)
-            traces.append(Trace(label, at, np.full(2, segment.value / ARCMIN), "thick", number))
-            traces += [
-                Trace("", at, np.full(2, end / ARCMIN), "dashed", number)
-                for end in (segment.value - segment.uncertainty, segment.value + segment.uncertainty)
-            ]
+        for name, segment in figure.segments.items():
+            part = segment.parts.get(side)
+            if part is None or part.interval is None:
+                continue
+            at, half = sign * np.array(part.interval), part.uncertainty
+            traces.append(Trace(label, at, np.full(2, part.value / ARCMIN), "thick", number))
+            for end in (part.value - half, part.value + half):
+                traces.append(Trace("", at, np.full(2, end / ARCMIN), "dashed", number))
+            middles.append((float(at.mean()), part.value / ARCMIN, name))
             label = ""
-    middles = [
-        (sign * 0.5 * sum(segment.interval or ()), segment.parts[side].value / ARCMIN, name)
-        for name, segment in figure.segments.items()
-        for side, sign in SIDES
-        if side in segment.parts
-    ]
     x, y, names = zip(*middles, strict=True)
     traces.append(Trace("", np.array(x), np.array(y), "points", -1, names))
     caption = "Slope of the loading branches in each torque range, mean of the loops; dashed: 95 % interval."

@@ -130,21 +130,9 @@ class Curve:
 
     def points(self, chosen: slice | NDArray[np.int64] | NDArray[np.bool_]) -> Curve:
         """Return the curve with some of its points, without the grid and the turns before averaging."""
-        each = (
-            "input_angle",
-            "transmission_error",
-            "standard_error",
-            "sample_count",
-            "angle_variance",
-            "torque_each",
-            "speed",
-            "travel",
-            "each_turn",
-        )
-        there = {name: values for name in each if (values := getattr(self, name)) is not None}
-        return dataclasses.replace(
-            self, grid=(0, 0.0), unaveraged=None, **{n: values[..., chosen] for n, values in there.items()}
-        )
+        arrays = {f.name: v for f in dataclasses.fields(self) if isinstance(v := getattr(self, f.name), np.ndarray)}
+        part: dict[str, Any] = {name: values[..., chosen] for name, values in arrays.items()}
+        return dataclasses.replace(self, grid=(0, 0.0), unaveraged=None, **part)
 
 
 def whole_turns(angle: ArrayLike, turn: float = 2.0 * np.pi) -> Array:
@@ -180,28 +168,23 @@ def curves_dataset(curves: Sequence[Curve]) -> xr.Dataset:
         return np.array(rows)
 
     grid = ("run", "point")
+    of_runs = {
+        name: [getattr(c, name) for c in curves] for name in ("torque", "torque_deviation", "direction", "implausible")
+    }
+    texts = {name: np.array([getattr(c, name) for c in curves], dtype=object) for name in ("source", "checksum")}
     data = xr.Dataset(
         {
             "transmission_error": (grid, padded("transmission_error", np.nan)),
             "standard_error": (grid, padded("standard_error", np.nan)),
             "sample_count": (grid, padded("sample_count", 0.0).astype(np.int64)),
-            "torque": ("run", [c.torque for c in curves]),
-            "torque_deviation": ("run", [c.torque_deviation for c in curves]),
-            "direction": ("run", [c.direction for c in curves]),
-            "source": ("run", np.array([c.source for c in curves], dtype=object)),
-            "checksum": ("run", np.array([c.checksum for c in curves], dtype=object)),
-            "implausible": ("run", [c.implausible for c in curves]),
+            **{name: ("run", values) for name, values in {**of_runs, **texts}.items()},
         },
         {"input_angle": (grid, padded("input_angle", np.nan))},
     )
-    for name, unit in (
-        ("transmission_error", "rad"),
-        ("standard_error", "rad"),
-        ("input_angle", "rad"),
-        ("torque", "N*m"),
-        ("torque_deviation", "N*m"),
-    ):
-        data[name].attrs["units"] = unit
+    for name in ("transmission_error", "standard_error", "input_angle"):
+        data[name].attrs["units"] = "rad"
+    for name in ("torque", "torque_deviation"):
+        data[name].attrs["units"] = "N*m"
     data.attrs.update(format=FORMAT, ratio=curves[0].ratio)
     return data
 

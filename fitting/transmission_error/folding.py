@@ -7,7 +7,6 @@ samples are up to a sample's spacing apart, and pins come into and out of contac
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterable
 from typing import Any
 
@@ -242,17 +241,8 @@ class _Fold:
             self._settle(1)
             self._open_turn = 0
 
-    def curve(
-        self,
-        *,
-        common_zero: bool,
-        known_index: bool,
-        source: str,
-        checksum: str,
-        notes: tuple[str, ...],
-        implausible: int,
-    ) -> Curve:
-        """Return the folded curve."""
+    def curve(self, stream: Recording | RecordingStream, **about: Any) -> Curve:
+        """Return the folded curve of a recording, with further attributes of the curve."""
         filled = np.flatnonzero(self.repeats)
         n, sums = self.repeats[filled], self._sums[:, filled]
         inside = sums[2] / n
@@ -276,6 +266,10 @@ class _Fold:
             column[filled] = index
             for row, (points, values) in zip(each_turn, self._kept, strict=True):
                 row[column[points]] = values + self._reference
+        crank_speed = float(np.abs(np.mean(speed))) if stream.timed else None
+        running_speed = stream.speed
+        if running_speed is None and crank_speed is not None:
+            running_speed = crank_speed / abs(self.ratio)
         return Curve(
             input_angle=angle[sequence][is_new],
             transmission_error=error + self._reference,
@@ -285,12 +279,11 @@ class _Fold:
             torque_deviation=float(np.sqrt(max(torque2 - torque**2, 0.0))),
             direction=self.direction,
             ratio=self.ratio,
-            common_zero=common_zero,
-            known_index=known_index,
-            source=source,
-            checksum=checksum,
-            notes=notes,
-            implausible=implausible,
+            common_zero=stream.common_zero,
+            known_index=stream.known_index,
+            checksum=stream.checksum,
+            running_speed=running_speed,
+            crank_speed=crank_speed,
             turns=self.rotation / self._turn,
             grid=self.grid,
             angle_variance=np.maximum(variance / turns, 0.0),
@@ -299,6 +292,7 @@ class _Fold:
             travel=travel,
             each_turn=each_turn,
             unaveraged=None if self._steps is None else self._steps.unaveraged(self._reference),
+            **about,
         )
 
 
@@ -486,31 +480,13 @@ class Folding:
         for fold in used:
             _check_ratio(fold, self.source)
             notes += _ramp_note(fold, self.source)
-        checksum = stream.checksum
         total, count = self._warmth
-        folded = [
-            f.curve(
-                common_zero=stream.common_zero,
-                known_index=stream.known_index,
-                source=self.source,
-                checksum=checksum,
-                notes=tuple(notes),
-                implausible=blocks.count,
-            )
-            for f in used
-        ]
-        warm = float(total / count) if count else None
+        temperature = float(total / count) if count else None
+        about = {"source": self.source, "notes": tuple(notes), "implausible": blocks.count, "temperature": temperature}
+        folded = [fold.curve(stream, **about) for fold in used]
         # Where an encoder's angle begins, just below or above its zero, is chance: the mean is known within one turn.
         passed = float(whole_turns(folded[0].transmission_error.mean(), 2.0 * np.pi / abs(stream.pulley)))
-        return [
-            dataclasses.replace(
-                curve,
-                temperature=warm,
-                running_speed=_speed_of(curve, stream),
-                crank_speed=_crank_speed_of(curve, stream),
-            ).moved(-passed)
-            for curve in folded
-        ]
+        return [curve.moved(-passed) for curve in folded]
 
 
 def _speed(time: Array, angle: Array) -> Array:
@@ -520,17 +496,6 @@ def _speed(time: Array, angle: Array) -> Array:
         passed = np.gradient(time)
         np.divide(np.gradient(angle), passed, out=speed, where=passed > 0.0)
     return speed
-
-
-def _speed_of(curve: Curve, stream: Recording | RecordingStream) -> float | None:
-    """Return the speed of a curve's run, rad/s: as stated by its recording, otherwise that of the output."""
-    crank = _crank_speed_of(curve, stream)
-    return crank / abs(curve.ratio) if stream.speed is None and crank is not None else stream.speed
-
-
-def _crank_speed_of(curve: Curve, stream: Recording | RecordingStream) -> float | None:
-    """Return the mean speed of the crank, rad/s; None without times."""
-    return float(np.abs(np.mean(curve.speed))) if stream.timed and curve.speed is not None else None
 
 
 def _check_ratio(fold: _Fold, source: str) -> None:

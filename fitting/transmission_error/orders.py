@@ -146,7 +146,7 @@ class _Turns:
         self._at = (row, point)
         self._number = given.number - self.first
         self.psi = given.input_angle * self.scale
-        self._middle = float(self.psi.mean())
+        self.middle = float(self.psi.mean())
         inside = self.psi - (given.number + 0.5) * (2.0 * np.pi / self.each)
         variance = given.angle_variance * self.scale**2
         self._width = np.sqrt(12.0 * variance)
@@ -187,7 +187,7 @@ class _Turns:
 
     def wave(self, order: float) -> Complex:
         """Return exp(i order ψ) in the means of the steps, from the middle of the recording, shape (steps,)."""
-        angle = order * (self.psi - self._middle)
+        angle = order * (self.psi - self.middle)
         half = (0.5 * order * self._width) ** 2  # sin x/x to 0.02 %: the steps of an order are less than x = 0.4 π wide
         values: Complex = (np.cos(angle) + 1j * np.sin(angle)) * (1.0 - half / 6.0 * (1.0 - half / 20.0))
         return values
@@ -199,16 +199,11 @@ class _Turns:
 
     def slope(self, order: float, coefficient: complex) -> Array:
         """Return the derivative of an order's wave with respect to the order, shape (steps,)."""
-        return self._projected((1j * (self.psi - self._middle) * coefficient * self.wave(order)).real)
+        return self._projected((1j * (self.psi - self.middle) * coefficient * self.wave(order)).real)
 
     def at_zero(self, order: float, coefficient: complex) -> complex:
         """Return a coefficient with its phase from crank angle zero."""
-        return complex(coefficient * np.exp(-1j * order * self._middle))
-
-    @property
-    def middle(self) -> float:
-        """ψ in the middle of the recording, rad."""
-        return self._middle
+        return complex(coefficient * np.exp(-1j * order * self.middle))
 
     def lines(self, rest: Array, padded: int = 1) -> tuple[Array, Array]:
         """Return orders and their squared amplitudes, rad², one for each 1/(padded turns)."""
@@ -263,69 +258,64 @@ def _floor(turns: _Turns, rest: Array) -> _Floor:
     )
 
 
+@dataclass
+class _Wave:
+    """A wave that is fitted: its order, whether that is fitted too, cosine and sine, and its coefficient, rad."""
+
+    order: float
+    is_free: bool
+    columns: Array
+    coefficient: complex = 0.0
+
+
 class _Waves:
     """Waves fitted together to the turns: those of stated orders, and of orders found, which are fitted too."""
 
     def __init__(self, turns: _Turns) -> None:
         self.turns = turns
-        self.orders: list[float] = []
-        self.free: list[bool] = []
-        self.coefficient: list[complex] = []
-        self._columns: list[Array] = []
+        self.each: list[_Wave] = []
 
     def add(self, order: float, *, free: bool) -> bool:
         """Add an order, unless whole orders and their changes explain most of it."""
         columns = self.turns.columns(order)
         if float((columns**2).sum()) < _KEPT * self.turns.samples:
             return False
-        self.orders.append(order)
-        self.free.append(free)
-        self.coefficient.append(0.0)
-        self._columns.append(columns)
+        self.each.append(_Wave(order, free, columns))
         return True
-
-    def keep(self, which: Sequence[int]) -> None:
-        """Keep only some of the orders."""
-        for name in ("orders", "free", "coefficient", "_columns"):
-            setattr(self, name, [getattr(self, name)[i] for i in which])
 
     def rest(self) -> Array:
         """Return what the waves do not explain; sets their coefficients."""
-        turns = self.turns
-        if not self.orders:
-            return turns.rest
-        columns = np.concatenate(self._columns)
-        normal = columns @ columns.T
-        solution = np.linalg.lstsq(normal, columns @ turns.rest, rcond=1e-12)[0]
-        self.coefficient = [complex(a, b) for a, b in solution.reshape(-1, 2)]
-        residual: Array = turns.rest - solution @ columns
+        if not self.each:
+            return self.turns.rest
+        columns = np.concatenate([wave.columns for wave in self.each])
+        solution = np.linalg.lstsq(columns @ columns.T, columns @ self.turns.rest, rcond=1e-12)[0]
+        for wave, (cosine, sine) in zip(self.each, solution.reshape(-1, 2), strict=True):
+            wave.coefficient = complex(cosine, sine)
+        residual: Array = self.turns.rest - solution @ columns
         return residual
 
-    def refine(self, which: Sequence[int], rest: Array) -> None:
+    def refine(self, waves: Sequence[_Wave], rest: Array) -> None:
         """Move free orders by a Gauss-Newton step each, at most half a line; `rest` is that of `rest`."""
-        for i in which:
-            turns, order = self.turns, self.orders[i]
-            slope = turns.slope(order, self.coefficient[i])
-            columns = np.concatenate([self._columns[i], slope[None]])
+        limit = 0.5 / self.turns.span
+        for wave in waves:
+            columns = np.concatenate([wave.columns, self.turns.slope(wave.order, wave.coefficient)[None]])
             step = float(np.linalg.lstsq(columns @ columns.T, columns @ rest, rcond=1e-12)[0][2])
-            limit = 0.5 / turns.span
-            self.orders[i] = order + min(max(step, -limit), limit)
-            self._columns[i] = turns.columns(self.orders[i])
+            wave.order += min(max(step, -limit), limit)
+            wave.columns = self.turns.columns(wave.order)
 
     def covariance(self) -> list[Array]:
         """Return for each wave the covariance of its cosine, sine and order for noise of variance 1 in the steps."""
-        if not self.orders:
+        if not self.each:
             return []
-        every = zip(self.orders, self.coefficient, self.free, strict=True)
-        slopes = [self.turns.slope(order, wave)[None] for order, wave, free in every if free]
-        columns = np.concatenate([*self._columns, *slopes])
+        slopes = [self.turns.slope(wave.order, wave.coefficient)[None] for wave in self.each if wave.is_free]
+        columns = np.concatenate([*(wave.columns for wave in self.each), *slopes])
         scale = np.sqrt(np.maximum((columns**2).sum(axis=1), 1e-300))
         columns = columns / scale[:, None]
         whole = np.linalg.pinv(columns @ columns.T, hermitian=True) / np.multiply.outer(scale, scale)
-        blocks, at = [], 2 * len(self.orders)
-        for i, free in enumerate(self.free):
+        blocks, at = [], 2 * len(self.each)
+        for i, wave in enumerate(self.each):
             index = [2 * i, 2 * i + 1]
-            if free:
+            if wave.is_free:
                 index.append(at)
                 at += 1
             block = np.zeros((3, 3))
@@ -336,8 +326,8 @@ class _Waves:
     def model(self) -> Array:
         """Return the sum of the waves, shape (steps,), rad."""
         values = np.zeros(self.turns.psi.size)
-        for order, coefficient in zip(self.orders, self.coefficient, strict=True):
-            values += (coefficient * self.turns.wave(order)).real
+        for wave in self.each:
+            values += (wave.coefficient * self.turns.wave(wave.order)).real
         return values
 
 
@@ -361,22 +351,22 @@ def _search(waves: _Waves, least: float) -> tuple[Array, _Floor]:
             & turns.stands_alone(order, power)
             & (power > power[order >= _BAND * turns.each].max())
         )
-        for known in waves.orders:
-            alone &= np.abs(order - known) > 1.0 / turns.span
+        for known in waves.each:
+            alone &= np.abs(order - known.order) > 1.0 / turns.span
         ratio = np.where(alone, power / floor.threshold(order) ** 2, 0.0)
         largest = int(np.argmax(ratio))
         if ratio[largest] <= math.log(order.size / _FALSE) or not waves.add(float(order[largest]), free=True):
             break
         for _ in range(3):
-            waves.refine([len(waves.orders) - 1], waves.rest())
-        for multiple in waves.orders[-1] * np.arange(2, _MULTIPLES + 1):
+            waves.refine(waves.each[-1:], waves.rest())
+        for multiple in waves.each[-1].order * np.arange(2, _MULTIPLES + 1):
             if multiple < _BAND * turns.each and not turns.off_whole(multiple, _APART):
                 waves.add(float(multiple), free=False)
         rest = waves.rest()
         floor = _floor(turns, rest)
         _keep_significant(waves, floor)
         rest = waves.rest()
-    free = [i for i, is_free in enumerate(waves.free) if is_free]
+    free = [wave for wave in waves.each if wave.is_free]
     for _ in range(3 if len(free) > 1 else 0):
         waves.refine(free, waves.rest())
     rest = waves.rest()
@@ -439,7 +429,7 @@ def orders_of_run(
             highest = _BAND * turns.each
             for base in bases.values():
                 for order in base * np.arange(1, _MULTIPLES + 1):
-                    if order < highest and all(abs(order - known) > 0.5 / turns.span for known in waves.orders):
+                    if order < highest and all(abs(order - known.order) > 0.5 / turns.span for known in waves.each):
                         waves.add(float(order), free=False)
             least = max(_CLEAN * float(whole.amplitude[1:].max(initial=0.0)), resolution / math.pi)
             _, floor = _search(waves, least)
@@ -477,17 +467,17 @@ def orders_of_run(
 
 def _keep_significant(waves: _Waves, floor: _Floor) -> None:
     """Keep the waves above the noise; those that were found are."""
-    while waves.orders:
-        stated = len(waves.orders) - sum(waves.free)
-        indices = []
-        for i, covariance in enumerate(waves.covariance()):
-            of_noise = covariance[:2, :2] * (0.25 * waves.turns.samples * float(floor.at(waves.orders[i])) ** 2)
-            value = np.array([waves.coefficient[i].real, waves.coefficient[i].imag])
-            if waves.free[i] or value @ np.linalg.solve(of_noise, value) > 2.0 * math.log(stated / _FALSE):
-                indices.append(i)
-        if len(indices) == len(waves.orders):
+    while waves.each:
+        stated = sum(not wave.is_free for wave in waves.each)
+        significant_waves = []
+        for wave, covariance in zip(waves.each, waves.covariance(), strict=True):
+            of_noise = covariance[:2, :2] * (0.25 * waves.turns.samples * float(floor.at(wave.order)) ** 2)
+            value = np.array([wave.coefficient.real, wave.coefficient.imag])
+            if wave.is_free or value @ np.linalg.solve(of_noise, value) > 2.0 * math.log(stated / _FALSE):
+                significant_waves.append(wave)
+        if len(significant_waves) == len(waves.each):
             return
-        waves.keep(indices)
+        waves.each = significant_waves
         waves.rest()
 
 
@@ -495,7 +485,8 @@ def _measured(waves: _Waves, floor: _Floor) -> list[Order]:
     """Return the waves as orders with uncertainties, which contain that of the noise around each."""
     orders = []
     turns, factor = waves.turns, float(stdtrit(floor.degrees, 0.975))
-    for order, coefficient, covariance in zip(waves.orders, waves.coefficient, waves.covariance(), strict=True):
+    for wave, covariance in zip(waves.each, waves.covariance(), strict=True):
+        order, coefficient = wave.order, wave.coefficient
         # A line's amplitude has 4/samples of the variance of the steps.
         covariance = covariance * (0.25 * turns.samples * float(floor.at(order)) ** 2)
         size = abs(coefficient)
@@ -524,7 +515,7 @@ def _named(order: Order, bases: Mapping[str, float], span: float) -> Order:
 def _without(waves: _Waves, coefficient: Complex) -> Complex:
     """Return whole orders of the mean over turns of what the waves do not explain, shape (orders,)."""
     turns = waves.turns
-    if not waves.orders or not turns.count.all():
+    if not waves.each or not turns.count.all():
         return coefficient
     line = coefficients_of(turns.mean(turns.at_steps - waves.model()), turns.each)
     upto = min(coefficient.size, int(_BAND * turns.each))
@@ -600,16 +591,7 @@ def orders_json(run_orders: RunOrders) -> dict[str, Any]:
         "turns": run_orders.turns,
         "searched": run_orders.searched,
         "orders": [
-            {
-                "order": int(order.order) if order.whole else order.order,
-                "order_uncertainty": order.order_uncertainty,
-                "amplitude": order.amplitude,
-                "uncertainty": order.uncertainty,
-                "unit": "rad",
-                "phase": order.phase,
-                "phase_uncertainty": order.phase_uncertainty,
-                "source": order.source,
-            }
+            vars(order) | {"order": int(order.order) if order.whole else order.order, "unit": "rad"}
             for order in run_orders.orders
         ],
         "turn_averaging": None if averaging is None else vars(averaging) | {"unit": "rad"},

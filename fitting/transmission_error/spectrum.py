@@ -22,8 +22,6 @@ RIG_ORDERS = (1, 2, 3)
 input turn are not included: pins cause them too, and the run-out of the input is divided by the ratio."""
 _WINDOW = 101  # neighbouring orders whose median is the noise floor of an order
 _HOLES = 0.02  # share of a turn's points that may be empty
-_COARSER = 8  # factor between the points and the coarser ones in which a curve's peak is searched first
-_MANY = 1 << 18  # points from which the coarser search saves time
 
 
 @dataclass(frozen=True)
@@ -258,54 +256,14 @@ def range_of(coefficient: NDArray[np.complex128], points: int) -> Array:
     points
         Number of evenly spaced points of a turn in which to search for the extremes.
     """
-    rows = np.atleast_2d(coefficient)
-    if rows.shape[1] * _COARSER * 4 > points or points < _MANY:
-        curve = synthesised(rows, points)
-        return _top(curve) + _top(-curve)
-    # Every eighth point first, then the others where they can exceed these: 2 to 5 times as fast as all 2^20 points.
-    coarse = points // _COARSER
-    curve = synthesised(rows, coarse)
-    order = np.arange(rows.shape[1])
-    bend = np.abs(synthesised(-(order**2) * rows, coarse)).max(axis=1)
-    # Bernstein: between points at a distance h, a wave of order n rises by at most (nh)²/8 of its largest value.
-    half = (np.pi * order[-1] / coarse) ** 2 / 2.0
-    reach = bend / (1.0 - half) * (np.pi / coarse) ** 2 / 2.0
-    ranges = np.empty(len(rows))
-    for at, (wave, values, beyond) in enumerate(zip(rows, curve, reach, strict=True)):
-        ranges[at] = sum(
-            _top_near(sign * wave, np.flatnonzero(sign * values >= (sign * values).max() - beyond), points)
-            for sign in (1.0, -1.0)
-        )
-    return ranges
+    curves = synthesised(np.atleast_2d(coefficient), points)
+    return _top(curves) + _top(-curves)
 
 
-def _top(curve: Array) -> Array:
+def _top(curves: Array) -> Array:
     """Return the largest value of each row, refined by a parabola through it and its neighbours (periodic)."""
-    rows, points = np.arange(curve.shape[0]), curve.shape[1]
-    at = np.argmax(curve, axis=-1)
-    return _parabola_top(*(curve[rows, (at + step) % points] for step in (-1, 0, 1)))
-
-
-def _parabola_top(before: Array, peak: Array, after: Array) -> Array:
+    rows, at = np.arange(curves.shape[0]), np.argmax(curves, axis=-1)
+    before, peak, after = (curves[rows, (at + step) % curves.shape[1]] for step in (-1, 0, 1))
     bend = np.minimum(before - 2.0 * peak + after, -1e-300)
     top: Array = peak - (before - after) ** 2 / (8.0 * bend)
     return top
-
-
-def _top_near(coefficient: NDArray[np.complex128], coarse: NDArray[np.int64], points: int) -> float:
-    """Return `_top` of a curve whose peak is next to one of the `coarse` points, indices of every eighth point."""
-    around = np.arange(-_COARSER - 1, _COARSER + 2)
-    index = np.unique(_COARSER * coarse[:, None] + around)
-    if index.size > points // 512:
-        return float(_top(synthesised(coefficient[None], points))[0])
-    # Sum over orders k = 128 i + j as a double sum: as many products as orders, but few sines.
-    blocks = -(-coefficient.size // 128)
-    table = np.zeros((blocks, 128), complex)
-    table.ravel()[: coefficient.size] = coefficient
-    angle = index * (2.0 * np.pi / points)
-    # No matrix product: BLAS would start all processors for these few numbers, which takes ten times as long.
-    inner = np.einsum("pj,ij->pi", np.exp(1j * np.multiply.outer(angle, np.arange(128))), table)
-    values = (inner * np.exp(1j * np.multiply.outer(angle, 128 * np.arange(blocks)))).sum(axis=1).real
-    # Points not computed are below their neighbours, so both neighbours of the largest value are computed.
-    at = 1 + int(np.argmax(values[1:-1]))
-    return float(_parabola_top(*values[at - 1 : at + 2]))

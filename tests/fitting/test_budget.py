@@ -164,7 +164,7 @@ def test_budgets_in_the_terminal_the_file_and_the_report(command, tmp_path):
     run = command("cycloid-fit", "report", *words, "r.html")
     assert run.returncode == 0, run.stderr
     page = (tmp_path / "r.html").read_text(encoding="utf-8")
-    assert page.count('<table class="budget">') == 4
+    assert page.count("<h2>Uncertainty budget (JCGM 100:2008): ") == 4
     assert "output encoder, subdivision" in page
 
 

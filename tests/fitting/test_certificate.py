@@ -13,7 +13,7 @@ from cycloid_fmu import edge
 from cycloid_fmu.studies import limits as asked
 from fitting.figures import conformity
 from fitting.figures.conformity import Certificate, decide, decisions_of, read_certificate, verdict_of
-from fitting.figures.figure import UNITS
+from fitting.figures.figure import DEFINITIONS
 from fitting.reports.certificate import _limit_panels
 
 ARCSEC = np.pi / 648000
@@ -54,7 +54,7 @@ def test_a_limit_that_is_one_text_is_on_the_figure_s_own_side():
     whole = {"backlash": {"max": "35 arcsec"}, "torsional_stiffness": {"min": "25 N*m/arcmin"}}
     one, other = (Certificate(device=device, decision_rule="guard band", limits=g) for g in (short, whole))
     assert one == other
-    assert set(asked.LOWER) >= set(conformity.LOWER) == set(asked.LOWER) & set(UNITS)
+    assert set(asked.LOWER) >= set(conformity.LOWER) == set(asked.LOWER) & set(DEFINITIONS)
 
 
 def test_the_verdict_of_a_drive_is_that_of_its_worst_figure(found):

@@ -762,7 +762,7 @@ def test_the_input_s_torque_is_read_from_a_table_and_survives_an_overview(comman
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.02, 1.0])
-def test_the_range_is_that_of_all_points_where_only_some_are_looked_at(noise):
+def test_the_range_is_that_of_all_points_and_the_parabolas_through_them(noise):
     rng = np.random.default_rng(3)
     waves = noise * (rng.normal(size=(3, 5001)) + 1j * rng.normal(size=(3, 5001)))
     waves[:, 39], waves[:, 40] = 20.0, -9.0j

@@ -74,7 +74,7 @@ def test_a_name_is_no_link(page, tmp_path):
     name = '<a href="https://example.org/">run</a> <b>1</b> & co'
     line = Trace(name, np.arange(3.0), np.arange(3.0), "points", texts=(name, "", ""))
     rows = Panel(name, name, name, (Trace("", np.arange(2.0), -np.arange(2.0)),), name, y_names=(name, "b"))
-    (tmp_path / "a.html").write_text(html_page(name, name, "", [Panel(name, name, name, (line,), name), rows], ""))
+    (tmp_path / "a.html").write_text(html_page(name, name, [Panel(name, name, name, (line,), name), rows]))
     opened = page.context.browser.new_page()
     opened.goto((tmp_path / "a.html").as_uri())
     opened.wait_for_selector(".panel >> nth=-1 >> .main-svg >> nth=0")
@@ -97,7 +97,7 @@ def test_a_browser_shows_every_panel_and_asks_for_nothing_else(page, found):
 
 @pytest.mark.system
 def test_the_page_holds_every_figure_and_every_note(page, found):
-    rows = page.locator("#figures tr.figure")
+    rows = page.locator("#figures tbody tr:not(.part)")
     assert rows.count() == len(found.shown) == 12
     text = page.locator("#figures").inner_text()
     assert "Lost motion" in text
