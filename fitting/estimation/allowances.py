@@ -62,7 +62,7 @@ def moved_by_form(fit: Estimate, form: float) -> Array:
         If the equations are singular.
     """
     observed, own = fit.observed, fit.columns
-    beside = form * observed.weight[:, None] * form_columns(fit.pair, observed, fit.state, form)
+    beside = form * observed.weight[:, None] * form_columns(fit.pair, observed, fit.state, fit.linear, form)
     # The fit ends where a step gains little. At the optimum, where its own unknowns have no slope, the form's slope can
     # be another: the deviation of an eccentricity was 0.24 or 0.46 µm from starts that differed little.
     alone = fit.posterior

@@ -195,17 +195,22 @@ def _evaluated(
     limit: Array,
     around: Sequence[NearDrive] | None = None,
     known: Linear | None = None,
+    near: Sequence[Linear] | None = None,
 ) -> _Normal:
     """Evaluate the model, unless it is known, and its normal equations.
 
-    Points beyond `limit` (curves,) are not used.
+    Points beyond `limit` (curves,) are not used. `near` is the model of each curve at a vector nearby.
     """
     state = unknowns.state(vector)
     parts = None if known is None else split(known, observed.ends)
 
     def of(number: int) -> tuple[Linear, tuple[Any, ...]]:
         one = observed.some([number])
-        linear = parts[number] if parts else linearised_curve(unknowns.pair, observed, number, state, around)
+        if parts:
+            linear = parts[number]
+        else:
+            solved = None if near is None else near[number].coordinates
+            linear = linearised_curve(unknowns.pair, observed, number, state, around, solved)
         residual = one.rows(one.weight * left_of(one, linear, state))
         is_used = one.weight[: residual.size] > 0.0
         inside = (np.abs(residual) <= limit[number]) & is_used
@@ -330,7 +335,9 @@ class _Descent:
             step = self.unknowns.within(self.vector + step) - self.vector
             self.evaluations += 1
             try:
-                then = _evaluated(self.unknowns, self.vector + step, self.observed, self.limit, self.around)
+                then = _evaluated(
+                    self.unknowns, self.vector + step, self.observed, self.limit, self.around, near=self.normal.linears
+                )
             except edge.InputError:
                 # So far away no contacts balance the load.
                 damping = max(_DAMPING_STEP * damping, _DAMPED)

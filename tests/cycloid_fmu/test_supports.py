@@ -503,7 +503,7 @@ def swept(pair, problem, assembly, torque, angles):
     found = empty(pair, 1, angles.size)
     here = type(found)(*(array[0] for array in found))._replace(force=np.zeros((angles.size, assembly.joints.size)))
     work = work_of(assembly)
-    sweep_supported(problem, assembly, angles, np.full(angles.size, torque), here, work, on_rigid.no_lines(1))
+    sweep_supported(problem, assembly, angles, np.full(angles.size, torque), here, work, on_rigid.no_lines(1), False)
     return here
 
 
