@@ -205,23 +205,23 @@ def _evaluated(
     parts = None if known is None else split(known, observed.ends)
 
     def of(number: int) -> tuple[Linear, tuple[Any, ...]]:
-        one = observed.some([number])
+        curve = observed.some([number])
         if parts:
             linear = parts[number]
         else:
             solved = None if near is None else near[number].coordinates
             linear = linearised_curve(unknowns.pair, observed, number, state, around, solved)
-        residual = one.rows(one.weight * left_of(one, linear, state))
-        is_used = one.weight[: residual.size] > 0.0
+        residual = curve.rows(curve.weight * left_of(curve, linear, state))
+        is_used = curve.weight[: residual.size] > 0.0
         inside = (np.abs(residual) <= limit[number]) & is_used
         scale, count = 1.4826 * np.median(np.abs(residual[is_used])), np.count_nonzero(inside)
-        columns = one.rows(unknowns.columns(one, linear))
+        columns = curve.rows(unknowns.columns(curve, linear))
         columns[~inside], residual[~inside] = 0.0, 0.0
-        told = Evidence.of(columns, residual)
+        evidence = Evidence.of(columns, residual)
         return linear, (
-            told.gram,
-            told.moment,
-            told.square,
+            evidence.gram,
+            evidence.moment,
+            evidence.square,
             count,
             scale,
             np.count_nonzero(is_used) - count,
