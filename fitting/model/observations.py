@@ -712,7 +712,8 @@ def form_columns(pair: Pair, observed: Observations, state: State, linear: Linea
 
         def moved(name: str, by: float) -> Array:
             formed = with_structured(surface, {name: structured_value(surface, name) + by})
-            return sensitivity(DriveValue(drive, formed), torque, angle, near=near).transmission_error
+            error: Array = sensitivity(DriveValue(drive, formed), torque, angle, near=near).transmission_error
+            return error
 
         return np.column_stack([(moved(n, size) - moved(n, -size)) / (2.0 * size) for n in names])
 
