@@ -83,7 +83,13 @@ def solve(
     return behind_first_stage.solve(drive, torques, angles, options)
 
 
-def sensitivity(drive: DriveValue, torque: ArrayLike, crank_angle: ArrayLike, slices: int | None = None) -> Sensitivity:
+def sensitivity(
+    drive: DriveValue,
+    torque: ArrayLike,
+    crank_angle: ArrayLike,
+    slices: int | None = None,
+    near: Array | None = None,
+) -> Sensitivity:
     """Return transmission error and derivatives of the cycloid stage at one torque, or one for each crank angle.
 
     Parameters
@@ -92,6 +98,8 @@ def sensitivity(drive: DriveValue, torque: ArrayLike, crank_angle: ArrayLike, sl
         As for `solve`; a first stage is left out.
     torque
         Torque on the stage's output, N·m, not 0; one, or shape (angles,).
+    near
+        On bearings, `coordinates` of the same crank angles of a drive near this one, to start from.
 
     Raises
     ------
@@ -100,7 +108,7 @@ def sensitivity(drive: DriveValue, torque: ArrayLike, crank_angle: ArrayLike, sl
     """
     drive, angles = drive.at_own_age, _finite(crank_angle, "crank_angle")
     torques = np.array(np.broadcast_to(_finite(torque, "torque"), angles.shape))
-    return stage.sensitivity(drive, torques, angles, slices or drive.slices)
+    return stage.sensitivity(drive, torques, angles, slices or drive.slices, near)
 
 
 def error_sensitivity(

@@ -17,6 +17,7 @@ from cycloid_fmu.bodies import outline
 from cycloid_fmu.bodies.beams import material_of
 from cycloid_fmu.bodies.elastic import PlaneBody
 from cycloid_fmu.bodies.mesh import Array, Indices, Mesh, Points, meshed
+from cycloid_fmu.bodies.outline import SECTORS
 from cycloid_fmu.bodies.ports import PortMatrix, around, patch
 from cycloid_fmu.geometry.bodies import DiscBody
 from cycloid_fmu.geometry.pair import Pair
@@ -24,7 +25,6 @@ from cycloid_fmu.geometry.profile import arc_parts, equal_arc_parameters
 
 PLACES_PER_TOOTH = 8
 PLACES_PER_HOLE = 16
-SECTORS = 48
 LEAST_PLACES = 6  # of a tooth or hole: those of one interpolation
 PATCH = 0.25  # half width of a patch over the radius of pin or hole
 _EDGE = 0.6  # length of a mesh's edge over the half width of a patch

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # a part of it is loaded where it is first used
 from numpy.typing import NDArray
-from scipy.spatial import Delaunay, KDTree, QhullError
 
 from cycloid_fmu import edge
 
@@ -148,7 +148,7 @@ class _Size:
     """Size of triangles near each point: that of the nearest edge, growing with the distance from it."""
 
     def __init__(self, middles: Points, lengths: Array, largest: float, growth: float) -> None:
-        self._tree, self._lengths = KDTree(_columns(middles)), lengths
+        self._tree, self._lengths = scipy.spatial.KDTree(_columns(middles)), lengths
         self._largest, self._growth = largest, growth
 
     def at(self, points: Points) -> Array:
@@ -213,8 +213,10 @@ def _too_long(pieces: Sequence[Points]) -> NDArray[np.bool_]:
     """Whether to divide each edge of all pieces: for a node in its diametral circle, or much shorter edges nearby."""
     middles = np.concatenate([0.5 * (points[1:] + points[:-1]) for points in pieces])
     lengths = np.concatenate([np.abs(np.diff(points)) for points in pieces])
-    nearest, _ = KDTree(_columns(np.concatenate([points[:-1] for points in pieces]))).query(_columns(middles))
-    distance, near = KDTree(_columns(middles)).query(_columns(middles), k=min(_NEIGHBOURS, middles.size))
+    nearest, _ = scipy.spatial.KDTree(_columns(np.concatenate([points[:-1] for points in pieces]))).query(
+        _columns(middles)
+    )
+    distance, near = scipy.spatial.KDTree(_columns(middles)).query(_columns(middles), k=min(_NEIGHBOURS, middles.size))
     graded = (2.0 * lengths[near] + distance).min(axis=1)
     return np.asarray((nearest < 0.4995 * lengths) | (lengths > graded))
 
@@ -250,8 +252,8 @@ def _lattice(boundary: Points, size: _Size) -> Points:
 def _triangulated(boundary: Points, inner: Points, chains: Sequence[Points]) -> tuple[Points, Indices]:
     nodes = np.concatenate([boundary, inner])
     try:
-        triangles = Delaunay(_columns(nodes)).simplices.astype(np.int64)
-    except QhullError as problem:
+        triangles = scipy.spatial.Delaunay(_columns(nodes)).simplices.astype(np.int64)
+    except scipy.spatial.QhullError as problem:
         raise edge.InputError(f"the body can't be meshed ({edge.first_line(problem)}).") from None
     triangles = triangles[_within(nodes[triangles].mean(axis=1), chains)]
     a, b, c = nodes[triangles].T

@@ -15,6 +15,7 @@ from cycloid_fmu.geometry.bodies import DiscBody, Window
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.geometry.profile import flank_normals, flank_points
 
+SECTORS = 48  # of a bore
 _PER_TOOTH = 400  # points of the flank's contour
 _ARC = math.radians(1.0)  # between points of a window's arcs
 _STEP = 5e-4  # between points of holes, for their distances, over the pin circle's radius; half of `_LEAST_BRIDGE`

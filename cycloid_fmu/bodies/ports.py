@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from cycloid_fmu.bodies.elastic import PlaneBody
 from cycloid_fmu.bodies.mesh import Array, Indices, Points
+
+if TYPE_CHECKING:
+    from cycloid_fmu.bodies.elastic import PlaneBody
 
 KINDS = ("flank", "bore", "sector", "roller_hole", "pin", "plane", "seat")
 _GAUSS, _WEIGHT = np.polynomial.legendre.leggauss(8)

@@ -503,6 +503,9 @@ class Sensitivity:
     by_bearing
         Derivative by the parameters of bearings and elastic bodies (`cycloid_fmu.supports.transmission.parameters_of`),
         shape (angles, parameters); none on rigid bearings.
+    coordinates
+        Unknowns of the balance, shape (angles, unknowns): the transmission error, and on bearings the positions of all
+        bodies, from which a drive near this one is solved in fewer steps.
     """
 
     transmission_error: Array
@@ -510,6 +513,7 @@ class Sensitivity:
     by_crank_angle: Array
     by_torque: Array
     by_bearing: Array
+    coordinates: Array
 
 
 def sensitivity(drive: DriveValue, torque: Array, crank_angle: Array, slices: int) -> Sensitivity:
@@ -523,8 +527,14 @@ def sensitivity(drive: DriveValue, torque: Array, crank_angle: Array, slices: in
     transmission_error, by_angle, by_torque = (np.empty(angles.size) for _ in range(3))
     contact.sweep_sensitivities(problem, angles, torques, transmission_error, by_displacement, by_angle, by_torque)
     check_falling(problem, angles, torques, ~(by_torque > 0.0))
+    by_angle -= 1.0 / drive.pair.ratio
     return Sensitivity(
-        transmission_error, by_displacement, by_angle - 1.0 / drive.pair.ratio, by_torque, np.zeros((angles.size, 0))
+        transmission_error,
+        by_displacement,
+        by_angle,
+        by_torque,
+        by_bearing=np.zeros((angles.size, 0)),
+        coordinates=transmission_error[:, None],
     )
 
 

@@ -111,7 +111,7 @@ def _draw_displaced(
 def _draw_forces(axis: Axes, pair: Pair, body: DiscBody, disc: int, crank_angle: float, forces: DiscForces) -> None:
     """Draw forces on a disc as arrows, the longest of pins and rollers, and of arms, alike."""
     from cycloid_fmu.bodies import outline
-    from cycloid_fmu.bodies.disc import SECTORS
+    from cycloid_fmu.bodies.outline import SECTORS
 
     crank = crank_angle + 2.0 * math.pi * disc / pair.discs
     alpha = (2.0 * math.pi * np.arange(pair.pins) / pair.pins + crank / pair.gear_teeth) % (2.0 * math.pi)

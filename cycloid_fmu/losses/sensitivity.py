@@ -138,6 +138,7 @@ def motion_sensitivity(
     direction: int,
     crank_speed: float,
     slices: int | None = None,
+    near: Array | None = None,
 ) -> MotionSensitivity:
     """Return the transmission error of a drive that turns in one direction, with friction, and its derivatives.
 
@@ -147,7 +148,7 @@ def motion_sensitivity(
         A drive with [supports] and [losses], without a first stage.
     torque, crank_angle
         Torque of the environment on the output, N·m, one or shape (angles,); rad, shape (angles,).
-    direction, crank_speed, slices
+    direction, crank_speed, slices, near
         As for `solver.solve`.
 
     Raises
@@ -162,7 +163,7 @@ def motion_sensitivity(
     """
     pair, losses, angles = drive.pair, losses_of(drive), np.array(crank_angle, dtype=float)
     torques, slices = np.array(np.broadcast_to(torque, angles.shape), dtype=float), slices or drive.slices
-    rubbed = solve(drive, torques[None], angles, direction, crank_speed, slices=slices)
+    rubbed = solve(drive, torques[None], angles, direction, crank_speed, slices=slices, near=near)
     coordinates, rubbing, assembly = (
         rubbed.coordinates[0],
         rubbing_of(drive, direction, crank_speed),
@@ -193,5 +194,5 @@ def motion_sensitivity(
     )
     if not solved:
         raise edge.InputError(f"torque = {torques[0]:g} N*m: the balance is singular: the drive jams.")
-    motion = sensitivity_of(pair, error, derivatives)
+    motion = sensitivity_of(pair, coordinates, derivatives)
     return MotionSensitivity(motion, _by_name(pair, losses, crank_speed, by_law, by_drag), rubbed.crank_torque[0])

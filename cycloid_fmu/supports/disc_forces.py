@@ -26,7 +26,7 @@ def disc_forces(drive: DriveValue, torque: float, crank_angle: float, disc: int 
         raise edge.InputError("the pair has no [bodies.disc]: forces on a rigid disc displace nothing.")
     assembly, solution = assembly_of(drive), of_part(empty(pair, 1, 1), 0)
     work = work_of(assembly)
-    sweep_supported(with_own_discs(problem_of(drive)), assembly, angles, torques, solution, work, no_lines(1))
+    sweep_supported(with_own_discs(problem_of(drive)), assembly, angles, torques, solution, work, no_lines(1), False)
     if not solution.steps.all():
         raise unbalanced(torque, crank_angle)
     elastic = assembly.elastic

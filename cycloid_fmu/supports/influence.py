@@ -11,20 +11,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+import scipy  # a part of it is loaded where it is first used
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
-from cycloid_fmu.bodies.disc import SECTORS, DiscInfluence, Track
 from cycloid_fmu.bodies.matrices import BodyMatrices
-from cycloid_fmu.bodies.outline import clocking, true_flank
+from cycloid_fmu.bodies.outline import SECTORS, clocking, true_flank
 from cycloid_fmu.contact import Array, compiled
 from cycloid_fmu.contact.foot import path_curvature
 from cycloid_fmu.contact.lanes import on_stack
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.geometry.profile import arc_parts
+
+if TYPE_CHECKING:
+    from cycloid_fmu.bodies.disc import DiscInfluence, Track
 
 Indices = NDArray[np.int64]
 _COUPLING = ("pin", "ring", "crank", "output_pin", "carrier")  # bodies by which discs displace each other's ports
@@ -307,7 +309,7 @@ def _cubics(curve: Track) -> Array:
 def _arc_over_tooth(pair: Pair) -> Array:
     share = np.arange(_ARCS + 1.0) / _ARCS
     parts = arc_parts(true_flank(pair), share[:-1] * 2.0 * np.pi / pair.gear_teeth) - share[:-1]
-    spline = CubicSpline(share * _ARCS, np.append(parts, parts[0]), bc_type="periodic")
+    spline = scipy.interpolate.CubicSpline(share * _ARCS, np.append(parts, parts[0]), bc_type="periodic")
     return np.ascontiguousarray(spline.c.T)
 
 

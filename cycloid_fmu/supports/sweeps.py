@@ -83,13 +83,22 @@ def sweep_supported(
     results: Solutions,
     work: Work,
     lines: contact.ContactLines,
+    near: bool,
 ) -> None:
-    """Solve crank angles, each at its torque and starting from its neighbour, and write contact lines on request."""
+    """Solve crank angles, each at its torque and starting from its neighbour, and write contact lines on request.
+
+    With `near` they start from `results.coordinates`, which holds solutions of nearly the same drive.
+    """
     contacts = contact.contact_rows(problem)
     q = work.coordinates
     for i in range(crank_angles.size):
         crank_angle = crank_angles[i]
-        follows = follow_neighbours(crank_angles, results.coordinates, i, q)
+        if near:
+            for k in range(q.size):
+                q[k] = results.coordinates[i, k]
+            work.moved[0], follows = math.inf, True
+        else:
+            follows = follow_neighbours(crank_angles, results.coordinates, i, q)
         pull = Load(torques[i], 0.0, 0.0, CENTRING)
         results.steps[i] = settle(problem, assembly, crank_angle, pull, contacts, work, None, not follows)
         write_solution(problem, assembly, contacts, work, results, i)

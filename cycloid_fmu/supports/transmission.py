@@ -180,11 +180,17 @@ def _solve(
     options: Options,
     first: int = 0,
     lines: ContactLines | None = None,
+    near: Array | None = None,
 ) -> None:
-    """Find solutions at every torque, shape (torques, angles); contact lines of the torques from `first` on."""
+    """Find solutions at every torque, shape (torques, angles); contact lines of the torques from `first` on.
+
+    `near` are the coordinates of solutions of nearly the same drive, shape (torques, angles, unknowns).
+    """
     merging, none = threading.Lock(), transmission.no_lines(1)
     assembly = assembly_of(drive)
     mesh = problem_of(drive, options.slices)
+    if near is not None:
+        solutions.coordinates[:] = near
 
     def part(start: int, last: int) -> None:
         problem = with_own_discs(mesh)
@@ -192,7 +198,8 @@ def _solve(
             part_of_sweep = of_part(solutions, np.s_[k, start:last])
             work = work_of(assembly)
             part_lines = none if lines is None or k < first else _lines_of(lines, k - first, slice(start, last))
-            sweep_supported(problem, assembly, angles[start:last], torque[start:last], part_of_sweep, work, part_lines)
+            of_sweep = angles[start:last], torque[start:last], part_of_sweep
+            sweep_supported(problem, assembly, *of_sweep, work, part_lines, near is not None)
             if lines is not None and k >= first:
                 with merging:
                     gear, pin = lines.gear_pressure[k - first], lines.pin_pressure[k - first]
@@ -356,15 +363,17 @@ def no_derivatives(pair: Pair, assembly: Assembly, angles: int) -> Derivatives:
     )
 
 
-def sensitivity_of(pair: Pair, transmission_error: Array, by: Derivatives) -> Sensitivity:
-    """Return the sensitivity by displacements and by `parameters_of` from the kernel's derivatives."""
+def sensitivity_of(pair: Pair, coordinates: Array, by: Derivatives) -> Sensitivity:
+    """Return the sensitivity by displacements and by `parameters_of` from solutions and the kernel's derivatives."""
     laws = add_by_displacements(pair, by.by_joint, by.by_displacement)
     stated = [] if pair.bodies is None else [BODIES.index(name) for name, _ in pair.bodies.stated()]
     by_bearing = np.hstack([laws, by.by_body[:, stated]])
-    return Sensitivity(transmission_error, by.by_displacement, by.by_angle, by.by_torque, by_bearing)
+    return Sensitivity(coordinates[:, 0].copy(), by.by_displacement, by.by_angle, by.by_torque, by_bearing, coordinates)
 
 
-def sensitivity(drive: DriveValue, torque: Array, crank_angle: Array, slices: int) -> Sensitivity:
+def sensitivity(
+    drive: DriveValue, torque: Array, crank_angle: Array, slices: int, near: Array | None = None
+) -> Sensitivity:
     """Return transmission error and derivatives of a drive on rigid or stated bearings.
 
     See `cycloid_fmu.analysis.sensitivity`; `torque` has shape (angles,).
@@ -373,7 +382,7 @@ def sensitivity(drive: DriveValue, torque: Array, crank_angle: Array, slices: in
         return transmission.sensitivity(drive, torque, crank_angle, slices)
     pair, angles, at_angles = drive.pair, np.array(crank_angle, dtype=float), np.array(torque, dtype=float)
     solutions = empty(pair, 1, angles.size)
-    _solve(drive, at_angles[None], angles, solutions, Options(slices))
+    _solve(drive, at_angles[None], angles, solutions, Options(slices), near=near)
     assembly = assembly_of(drive)
     derivatives = no_derivatives(pair, assembly, angles.size)
     if not sweep_supported_sensitivities(
@@ -386,4 +395,4 @@ def sensitivity(drive: DriveValue, torque: Array, crank_angle: Array, slices: in
         work_of(assembly),
     ):
         raise unbalanced(float(at_angles[0]), angles[0])
-    return sensitivity_of(pair, solutions.coordinates[0, :, 0].copy(), derivatives)
+    return sensitivity_of(pair, solutions.coordinates[0], derivatives)

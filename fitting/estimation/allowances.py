@@ -68,17 +68,17 @@ def moved_by_form(fit: Estimate, form: float) -> Array:
         If the equations are singular.
     """
     observed, own = fit.observed, fit.columns
-    beside = form * observed.weight[:, None] * form_columns(fit.pair, observed, fit.state, form)
+    by_form = form * observed.weight[:, None] * form_columns(fit.pair, observed, fit.state, fit.linear, form)
     # The fit ends where a step gains little. At the optimum, where its own unknowns have no slope, the form's slope can
     # be another: the deviation of an eccentricity was 0.24 or 0.46 µm from starts that differed little.
     alone = fit.posterior
     residual = fit.residual - own @ alone.mean
     count = own.shape[1]
-    formed = alone.extended(own.T @ beside, beside.T @ beside + np.eye(beside.shape[1]))
+    formed = alone.extended(own.T @ by_form, by_form.T @ by_form + np.eye(by_form.shape[1]))
     if max(formed.condition, alone.condition) > _SINGULAR:
         raise np.linalg.LinAlgError("singular")
     cross, of_form = formed.covariance[:count, count:], formed.covariance[count:, count:]
-    moved = cross @ (beside.T @ residual)
+    moved = cross @ (by_form.T @ residual)
     grown = cross @ np.linalg.solve(of_form, cross.T) + np.outer(moved, moved)
     covariance: Array = grown * np.outer(fit.unknowns.scale, fit.unknowns.scale)
     return covariance

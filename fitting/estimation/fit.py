@@ -195,28 +195,33 @@ def _evaluated(
     limit: Array,
     around: Sequence[NearDrive] | None = None,
     known: Linear | None = None,
+    near: Sequence[Linear] | None = None,
 ) -> _Normal:
     """Evaluate the model, unless it is known, and its normal equations.
 
-    Points beyond `limit` (curves,) are not used.
+    Points beyond `limit` (curves,) are not used. `near` is the model of each curve at a vector nearby.
     """
     state = unknowns.state(vector)
     parts = None if known is None else split(known, observed.ends)
 
     def of(number: int) -> tuple[Linear, tuple[Any, ...]]:
-        one = observed.some([number])
-        linear = parts[number] if parts else linearised_curve(unknowns.pair, observed, number, state, around)
-        residual = one.rows(one.weight * left_of(one, linear, state))
-        is_used = one.weight[: residual.size] > 0.0
+        curve = observed.some([number])
+        if parts:
+            linear = parts[number]
+        else:
+            solved = None if near is None else near[number].coordinates
+            linear = linearised_curve(unknowns.pair, observed, number, state, around, solved)
+        residual = curve.rows(curve.weight * left_of(curve, linear, state))
+        is_used = curve.weight[: residual.size] > 0.0
         inside = (np.abs(residual) <= limit[number]) & is_used
         scale, count = 1.4826 * np.median(np.abs(residual[is_used])), np.count_nonzero(inside)
-        columns = one.rows(unknowns.columns(one, linear))
+        columns = curve.rows(unknowns.columns(curve, linear))
         columns[~inside], residual[~inside] = 0.0, 0.0
-        told = Evidence.of(columns, residual)
+        evidence = Evidence.of(columns, residual)
         return linear, (
-            told.gram,
-            told.moment,
-            told.square,
+            evidence.gram,
+            evidence.moment,
+            evidence.square,
             count,
             scale,
             np.count_nonzero(is_used) - count,
@@ -330,7 +335,9 @@ class _Descent:
             step = self.unknowns.within(self.vector + step) - self.vector
             self.evaluations += 1
             try:
-                then = _evaluated(self.unknowns, self.vector + step, self.observed, self.limit, self.around)
+                then = _evaluated(
+                    self.unknowns, self.vector + step, self.observed, self.limit, self.around, near=self.normal.linears
+                )
             except edge.InputError:
                 # So far away no contacts balance the load.
                 damping = max(_DAMPING_STEP * damping, _DAMPED)

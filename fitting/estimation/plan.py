@@ -252,7 +252,7 @@ class _Foretold:
         self.linear = joined([once, once])
         whole = self.observed
         if form > 0.0:
-            columns = form_columns(pair, self.observed.some(range(self.second)), state, form)
+            columns = form_columns(pair, self.observed.some(range(self.second)), state, once, form)
             whole = whole.with_form(np.vstack([columns, columns]), form)
         self.formed, self.unknowns = whole, Unknowns(pair, whole, whole.errors)
         self.told = [Evidence.of(self.unknowns.columns(*self._some(whole, [n]))).gram for n in range(2 * self.second)]

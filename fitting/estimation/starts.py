@@ -162,7 +162,8 @@ class Multistart(Search[Start, Estimate]):
         return self._near[1]
 
     def _ended(self, part: Observations, start: Start, around: Sequence[NearDrive] | None) -> Estimate:
-        state, linear = at_zeros(self.pair, part, start.state, around)
+        near = self.best.linear if self.ends and part is self.few else None
+        state, linear = at_zeros(self.pair, part, start.state, around, near)
         end = fit(
             self.pair,
             part,
@@ -282,11 +283,18 @@ def unscattered(state: State) -> State:
 
 
 def at_zeros(
-    pair: Pair, observed: Observations, state: State, around: Sequence[NearDrive] | None = None
+    pair: Pair,
+    observed: Observations,
+    state: State,
+    around: Sequence[NearDrive] | None = None,
+    near: Linear | None = None,
 ) -> tuple[State, Linear]:
-    """Return a state with the unknown zeros of these observations, nothing else of the bench, and the model there."""
+    """Return a state with the unknown zeros of these observations, nothing else of the bench, and the model there.
+
+    The arguments are those of `linearise`.
+    """
     state = dataclasses.replace(state, bench=np.zeros(observed.bench.shape[1]))
-    linear = linearise(pair, observed, state, around)
+    linear = linearise(pair, observed, state, around, near)
     free = ~np.isfinite(observed.bench_prior)
     state.bench[free] = np.linalg.lstsq(observed.bench[:, free], left_of(observed, linear, state), rcond=None)[0]
     return state, linear

@@ -80,7 +80,7 @@ def causes(pair: Pair, observed: Observations, linear: Linear, formed: State | N
     if late.any():
         found[LAG] = [_unit(late)]
     if formed is not None:
-        found[FORM] = list(form_columns(pair, observed, formed, _FORM_STEP).T)
+        found[FORM] = list(form_columns(pair, observed, formed, linear, _FORM_STEP).T)
     return _with_effect(found) | beside_the_gear(observed)
 
 

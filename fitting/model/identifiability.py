@@ -79,8 +79,8 @@ def chosen_errors(pair: Pair, observed: Observations, linear: Linear, sizes: Map
         Standard deviation of each scattered pattern, m; of those that are not named it is the usual one, or none.
     """
     unknowns = Unknowns(pair, observed, observed.errors)
-    told = Evidence.of(unknowns.columns(observed, linear))
-    return chosen_from(unknowns, observed, told.posterior(unknowns.precision(sizes)))
+    evidence = Evidence.of(unknowns.columns(observed, linear))
+    return chosen_from(unknowns, observed, evidence.posterior(unknowns.precision(sizes)))
 
 
 def chosen_of(pair: Pair, observed: Observations, linear: Linear) -> list[str]:
@@ -187,8 +187,8 @@ def posterior_covariance(
         Shape (chosen + scatter, chosen + scatter), m² or rad².
     """
     unknowns = Unknowns(pair, observed, chosen)
-    told = Evidence.of(unknowns.columns(observed, linear))
-    return covariance_of(unknowns, told.posterior(unknowns.precision(sizes)))
+    evidence = Evidence.of(unknowns.columns(observed, linear))
+    return covariance_of(unknowns, evidence.posterior(unknowns.precision(sizes)))
 
 
 def covariance_of(unknowns: Unknowns, posterior: Gaussian) -> Array:

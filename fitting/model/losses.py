@@ -111,6 +111,7 @@ def curve_sensitivity(
     curve: Curve,
     nominal: Pair,
     first_stage: FirstStage | None = None,
+    near: Array | None = None,
 ) -> tuple[Sensitivity, Array]:
     """Return the transmission error of a curve and its derivatives, the second by `unknown_coefficients`.
 
@@ -128,6 +129,8 @@ def curve_sensitivity(
         The pair as its file states it.
     first_stage
         What is before the drive: friction changes the cranks' torque, and so what the carrier takes of the load.
+    near
+        On bearings, `coordinates` of these points of a drive near this one, to start from.
 
     Raises
     ------
@@ -137,11 +140,11 @@ def curve_sensitivity(
     names = unknown_coefficients(nominal)
     losses, stated = drive.pair.losses, nominal.losses
     if losses is None or stated is None or drive.pair.supports is None or curve.branch:
-        return sensitivity(drive, torque, crank_angle), np.zeros((torque.size, len(names)))
+        return sensitivity(drive, torque, crank_angle, near=near), np.zeros((torque.size, len(names)))
     if losses.first_stage is not None:
         drive = DriveValue(drive.pair.replace(losses=losses.replace(first_stage=None)), drive.surface)
     speed = curve.crank_speed or SLOW
-    with_friction = motion_sensitivity(drive, torque, crank_angle, curve.direction, speed)
+    with_friction = motion_sensitivity(drive, torque, crank_angle, curve.direction, speed, near=near)
     motion = with_friction.motion
     if first_stage is not None:
         more = _more_load(losses, first_stage, curve.direction, with_friction.crank_torque, torque, nominal.gear_teeth)

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from cycloid_fmu.analysis import solve
+from cycloid_fmu.analysis import sensitivity, solve
 from cycloid_fmu.contact.transmission import form_sensitivity
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.errors.kinds import KINDS, kinds_of, structured_names
@@ -474,7 +474,8 @@ class Linear:
 
     `structured` (points, errors as in `Observations.errors`), `scatter` (points, those of `scatter_names`), `bearings`
     (points, those of `Observations.bearing_names`), by crank angle, by friction torque, and by the growth of a loop's
-    friction with load (points,).
+    friction with load (points,). `coordinates` are those of the balance on bearings (points, coordinates), from which
+    the model at a state nearby is solved in fewer steps.
     """
 
     model: Array
@@ -484,6 +485,7 @@ class Linear:
     by_crank: Array
     by_friction: Array
     by_friction_per_load: Array
+    coordinates: Array
 
 
 def errors_of(pair: Pair) -> list[str]:
@@ -610,35 +612,46 @@ def _where_supports_gave_way(observed: Observations, number: int, state: State) 
     return with_structured(surface, values), crank_angle + advance
 
 
+def _at_the_cranks(
+    pair: Pair, observed: Observations, number: int, state: State, torque: Array
+) -> tuple[ErrorSurface, Array, Array]:
+    """Return the errors of the drive during a curve, the angles of its cranks, and how far a first stage is behind."""
+    surface, crank_angle = _where_supports_gave_way(observed, number, state)
+    if observed.first_stage is None:
+        return surface, crank_angle, np.zeros_like(torque)
+    play = state.bearings[-1] if state.bearings.size else 0.0
+    behind = turned(observed.first_stage, pair, torque, play)
+    return surface, crank_angle + behind, behind
+
+
 def linearised_curve(
-    pair: Pair, observed: Observations, number: int, state: State, around: Sequence[NearDrive] | None = None
+    pair: Pair,
+    observed: Observations,
+    number: int,
+    state: State,
+    around: Sequence[NearDrive] | None = None,
+    near: Array | None = None,
 ) -> Linear:
     """Evaluate the model and its analytic derivatives by every structured error at every point of one curve.
 
-    The model is the exact one, or near a drive the linearised one, without the crank's zero and form.
+    The model is the exact one, or about a drive the linearised one, without the crank's zero and form. `near` are the
+    `coordinates` of the model at a state nearby.
     """
     curve = observed.curves[number]
     torque, against, by_torque_stated = _torque_at_flanks(observed, number, state)
-    surface, at = _where_supports_gave_way(observed, number, state)
+    surface, crank_angle, w = _at_the_cranks(pair, observed, number, state, torque)
     s = share_of(observed.first_stage, pair)
-    bearings = state.bearings if state.bearings.size else np.zeros(len(observed.bearing_names))
-    w, beside = np.zeros_like(torque), np.zeros_like(torque)
-    if observed.first_stage is not None:
-        w = turned(observed.first_stage, pair, torque, bearings[-1])
-        beside = 0.5 * np.sign(torque) * observed.first_stage.bearing_play - w / pair.gear_teeth
-    by_bearing = np.zeros((torque.size, 0))
+    by_bearing = coordinates = np.zeros((torque.size, 0))
     if around is None:
-        drive = DriveValue(pair_with(pair, bearings), surface)
-        found, by_friction_of_drive = curve_sensitivity(drive, s * torque, at + w, curve, pair, observed.first_stage)
-        model, each, by_crank, by_torque = (
-            found.transmission_error,
-            found.by_displacement,
-            found.by_crank_angle,
-            found.by_torque,
+        drive = DriveValue(pair_with(pair, state.bearings), surface)
+        solved, by_friction_of_drive = curve_sensitivity(
+            drive, s * torque, crank_angle, curve, pair, observed.first_stage, near
         )
+        model, each, coordinates = solved.transmission_error, solved.by_displacement, solved.coordinates
+        by_crank, by_torque = solved.by_crank_angle, solved.by_torque
         if pair.supports is not None:
             laws = parameters_of(pair)
-            by_law = found.by_bearing[:, [laws.index(n) for n in observed.bearing_names if n in laws]]
+            by_law = solved.by_bearing[:, [laws.index(n) for n in observed.bearing_names if n in laws]]
             by_bearing = np.hstack([by_law, by_friction_of_drive])
     else:
         model, each, by_torque = around[number].sensitivities(displacement_vector(pair, surface), torque)
@@ -649,66 +662,82 @@ def linearised_curve(
         jacobian[:, profiles] = np.split(observed.form, observed.ends)[number]
     elif profiles and around is None and pair.supports is None:
         of_form = [observed.errors[i] for i in profiles]
-        jacobian[:, profiles] = form_sensitivity(DriveValue(pair, surface), model, at + w, of_form)
+        jacobian[:, profiles] = form_sensitivity(DriveValue(pair, surface), model, crank_angle, of_form)
     scatter = scatter_columns(pair, each)
     by_friction = against * by_torque_stated * by_torque
     by_growth = by_friction * np.abs(torque) * bool(curve.branch)
     if observed.first_stage is None:
-        return Linear(model, jacobian, scatter, by_bearing, by_crank, by_friction, by_growth)
+        return Linear(model, jacobian, scatter, by_bearing, by_crank, by_friction, by_growth, coordinates)
+    play = 0.5 * np.sign(torque) * observed.first_stage.bearing_play - w / pair.gear_teeth
     by_play = -0.5 * np.sign(torque) * (by_crank - 1.0 / pair.gear_teeth)
     by_bearing = np.column_stack([by_bearing, by_play])
     # The cranks turn with the output's deviation, to first order.
     share = s / (1.0 - s * observed.first_stage.crank_share * by_crank)
     of = share[:, None]
     return Linear(
-        share * (model + beside),
+        share * (model + play),
         of * jacobian,
         of * scatter,
         of * by_bearing,
         share * by_crank,
         share * s * by_friction,
         share * s * by_growth,
+        coordinates,
     )
 
 
-def form_columns(pair: Pair, observed: Observations, state: State, size: float) -> Array:
+def form_columns(pair: Pair, observed: Observations, state: State, linear: Linear, size: float) -> Array:
     """Return derivatives by the `PROFILE_ORDERS` of a form that all flanks share, shape (points, orders), rad/m.
 
     They are those of the model, at its displacements of the supports: near a corner of a curve those at other crank
     angles would not balance the effect of other errors, and a form could be told from an eccentricity that looks like
     it. On bearings, where contacts open and close with a form and the discs follow, they are finite differences over
-    ± `size`, m.
+    ± `size`, m. `linear` is the exact model at the state.
     """
     names = profile_names(PROFILE_ORDERS)
-    if pair.supports is None:
-        return linearise(
-            pair, dataclasses.replace(observed, errors=tuple(names), profile={}, form=None), state
-        ).structured
-    s, drive = share_of(observed.first_stage, pair), pair_with(pair, state.bearings)
+    share = np.full(linear.model.size, share_of(observed.first_stage, pair))
+    if observed.first_stage is not None and pair.supports is None:
+        share *= 1.0 + observed.first_stage.crank_share * linear.by_crank
+    drive, coordinates = pair_with(pair, state.bearings), np.split(linear.coordinates, observed.ends)
 
     def by_form(number: int) -> Array:
+        near = coordinates[number]
+        if pair.supports is None:
+            torque, _, _ = _torque_at_flanks(observed, number, state)
+            surface, angle, _ = _at_the_cranks(pair, observed, number, state, torque)
+            return form_sensitivity(DriveValue(pair, surface), near[:, 0], angle, names)
         torque, (surface, angle) = observed.torque_of(number), _where_supports_gave_way(observed, number, state)
         torque = np.where(torque == 0.0, _LEAST_TORQUE * observed.curves[number].torque, torque)
+        torque = torque * share_of(observed.first_stage, pair)
 
         def moved(name: str, by: float) -> Array:
             formed = with_structured(surface, {name: structured_value(surface, name) + by})
-            error: Array = solve(
-                DriveValue(drive, formed), s * torque[None], angle, with_play=False
-            ).transmission_error[0]
+            error: Array = sensitivity(DriveValue(drive, formed), torque, angle, near=near).transmission_error
             return error
 
-        return s * np.column_stack([(moved(n, size) - moved(n, -size)) / (2.0 * size) for n in names])
+        return np.column_stack([(moved(n, size) - moved(n, -size)) / (2.0 * size) for n in names])
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        return np.concatenate(list(pool.map(by_form, range(len(observed.curves)))))
+        columns: Array = share[:, None] * np.concatenate(list(pool.map(by_form, range(len(observed.curves)))))
+    return columns
 
 
-def linearise(pair: Pair, observed: Observations, state: State, around: Sequence[NearDrive] | None = None) -> Linear:
-    """Evaluate the model and its analytic derivatives at every point of every curve, as `linearised_curve` does."""
+def linearise(
+    pair: Pair,
+    observed: Observations,
+    state: State,
+    around: Sequence[NearDrive] | None = None,
+    near: Linear | None = None,
+) -> Linear:
+    """Evaluate the model and its analytic derivatives at every point of every curve, as `linearised_curve` does.
+
+    `near` is the model of the same points at a state nearby.
+    """
+    numbers = range(len(observed.curves))
+    starts = [None for _ in numbers] if near is None else np.split(near.coordinates, observed.ends)
     # The kernel works without Python's lock.
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        numbers = range(len(observed.curves))
-        return joined(list(pool.map(lambda number: linearised_curve(pair, observed, number, state, around), numbers)))
+        return joined(list(pool.map(lambda i: linearised_curve(pair, observed, i, state, around, starts[i]), numbers)))
 
 
 def joined(each: Sequence[Linear]) -> Linear:

@@ -254,7 +254,7 @@ def linear_near(observed: Observations, drive: Drive, state: State) -> tuple[Obs
     observed = dataclasses.replace(observed, form=np.zeros((observed.measured.size, len(at))))
     linear = linearise(drive.pair, observed, state)
     if at:
-        form = form_columns(drive.pair, observed, state, _FORM)[:, at]
+        form = form_columns(drive.pair, observed, state, linear, _FORM)[:, at]
         observed = dataclasses.replace(observed, form=form)
         linear.structured[:, [observed.errors.index(n) for n in observed.profile]] = form
     number = np.repeat(np.arange(len(observed.curves)), [c.input_angle.size for c in observed.curves])

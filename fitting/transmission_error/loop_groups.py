@@ -7,8 +7,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+import scipy  # a part of it is loaded where it is first used
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
 
 from fitting.readers.recording import Recording
 from fitting.transmission_error.loops import Lobe, LoopData, find_lobes, find_loops, sample_noise, windup_of
@@ -48,7 +48,7 @@ def _smoothed(torque: Array) -> Array:
     if torque.size < _FEWEST:
         return torque
     size = (sample_noise(torque) / (_QUIET * float(np.abs(torque).max()) + 1e-300)) ** 2
-    return np.asarray(uniform_filter1d(torque, int(min(max(math.ceil(size), 1), torque.size // _FEWEST))))
+    return np.asarray(scipy.ndimage.uniform_filter1d(torque, int(min(max(math.ceil(size), 1), torque.size // _FEWEST))))
 
 
 def _moved(lobe: Lobe, by: int) -> Lobe:

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import scipy  # a part of it is loaded where it is first used
 from numpy.typing import NDArray
-from scipy.optimize import isotonic_regression
 
 from fitting.transmission_error.loops import LoopData, fit_line, sample_noise
 
@@ -90,7 +90,7 @@ def pass_of(time: Array, torque: Array, windup: Array, direction: int) -> Pass:
     size = min(max(1, torque.size // STRETCHES, quiet), torque.size // FEWEST)
     whole = torque.size // size * size
     t, load, angle = (v[:whole].reshape(-1, size).mean(axis=1) for v in (time, torque, windup))
-    along = isotonic_regression(direction * angle).x
+    along = scipy.optimize.isotonic_regression(direction * angle).x
     moves = np.diff(along, append=math.inf) > _MOVES * (along[-1] - along[0]) / along.size
     # A windup that stuck is left between its last stretch and the next.
     stuck = moves & ~np.concatenate([[True], moves[:-1]])

@@ -13,9 +13,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy  # a part of it is loaded where it is first used
 from numpy.typing import NDArray
-from scipy import fft
-from scipy.special import stdtrit
 
 from cycloid_fmu.geometry.pair import Pair
 from fitting.transmission_error.curve import Curve
@@ -209,7 +208,7 @@ class _Turns:
         """Return orders and their squared amplitudes, rad², one for each 1/(padded turns)."""
         line = np.zeros(int(self._number[-1]) + 1)
         line[self._number] = rest
-        size = fft.next_fast_len(padded * line.size, real=True)
+        size = scipy.fft.next_fast_len(padded * line.size, real=True)
         power = np.abs(coefficients_of(line, self.samples, size)) ** 2
         return np.arange(power.size) * (self.each / size), power
 
@@ -445,7 +444,7 @@ def orders_of_run(
                 degrees = floor.degrees
         averaging = _turn_averaging(turns, waves)
     peaks = np.flatnonzero(significant(coefficient, noise, noise.size))
-    factor = float(stdtrit(degrees, 0.975)) if math.isfinite(degrees) else 1.96
+    factor = float(scipy.special.stdtrit(degrees, 0.975)) if math.isfinite(degrees) else 1.96
     apart = 1.0 / max(curve.turns, 1.0)
     for k in peaks:
         amplitude, half = float(abs(coefficient[k])), factor * float(noise[k]) / math.sqrt(2.0)
@@ -484,7 +483,7 @@ def _keep_significant(waves: _Waves, floor: _Floor) -> None:
 def _measured(waves: _Waves, floor: _Floor) -> list[Order]:
     """Return the waves as orders with uncertainties, which contain that of the noise around each."""
     orders = []
-    turns, factor = waves.turns, float(stdtrit(floor.degrees, 0.975))
+    turns, factor = waves.turns, float(scipy.special.stdtrit(floor.degrees, 0.975))
     for wave, covariance in zip(waves.each, waves.covariance(), strict=True):
         order, coefficient = wave.order, wave.coefficient
         # A line's amplitude has 4/samples of the variance of the steps.

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # a part of it is loaded where it is first used
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage
 
 from cycloid_fmu import edge
 from cycloid_fmu.geometry.pair import Pair
@@ -172,7 +172,9 @@ def coefficients_of(values: ArrayLike, samples: int, points: int | None = None) 
 
 def noise_floor(power: Array, window: int) -> Array:
     """Return the rms amplitude of the noise at each order from the median of the squares of its neighbours."""
-    return np.asarray(np.sqrt(ndimage.median_filter(power, min(window, power.size), mode="reflect") / np.log(2.0)))
+    return np.asarray(
+        np.sqrt(scipy.ndimage.median_filter(power, min(window, power.size), mode="reflect") / np.log(2.0))
+    )
 
 
 def synthesised(coefficient: NDArray[np.complex128], points: int) -> Array:

@@ -498,13 +498,33 @@ def test_any_torque_of_either_sign_is_balanced_whatever_was_solved_before(seed, 
     assert alone.pin_force[0, 0] == pytest.approx(swept.pin_force[0, -1], abs=0.05)
 
 
-def swept(pair, problem, assembly, torque, angles):
+def swept(pair, problem, assembly, torque, angles, near=None):
     """Result of the kernel for any list of joints."""
     found = empty(pair, 1, angles.size)
     here = type(found)(*(array[0] for array in found))._replace(force=np.zeros((angles.size, assembly.joints.size)))
     work = work_of(assembly)
-    sweep_supported(problem, assembly, angles, np.full(angles.size, torque), here, work, on_rigid.no_lines(1))
+    if near is not None:
+        here.coordinates[:] = near
+    torques, lines = np.full(angles.size, torque), on_rigid.no_lines(1)
+    sweep_supported(problem, assembly, angles, torques, here, work, lines, near is not None)
     return here
+
+
+@pytest.mark.parametrize("kind", ["cranks", "output_rollers"])
+def test_a_balance_is_the_same_wherever_its_solution_starts(kind):
+    """From ideal positions, from those of another drive under another load, from far away, and from the balance."""
+    pair, angles = made(kind, 11), np.array([0.4, 1.1, 3.0])
+    drive = DriveValue.as_stated(pair)
+    first = sensitivity(drive, 150.0, angles)
+    of_another = sensitivity(DriveValue.as_stated(made(kind, 12)), 60.0, angles).coordinates
+    for near in (of_another, np.full_like(of_another, 1e-4)):
+        again = sensitivity(drive, 150.0, angles, near=near)
+        assert again.transmission_error == pytest.approx(first.transmission_error, abs=1e-12)
+        largest = np.abs(first.by_displacement).max()
+        assert again.by_displacement == pytest.approx(first.by_displacement, abs=1e-6 * largest)
+    of_kernel = pair, problem_of(drive), assembly_of(drive), 150.0, angles
+    assert (swept(*of_kernel, near=first.coordinates).steps <= 2).all()
+    assert (swept(*of_kernel).steps > 2).all()
 
 
 @pytest.mark.parametrize("kind", ["cranks", "output_rollers"])

@@ -73,7 +73,7 @@ def test_a_form_s_effect_is_that_of_the_model_where_supports_give_way(nominal):
     observed = dataclasses.replace(observed, give=np.array([[2e-6, -1e-6, 1e-6, 5e-3]]))
     surface = with_structured(surface_of_pair(nominal), {"pin_radial_2_cos": 3e-6, "pin_radius": -2e-6})
     state = State(surface, np.zeros(spread_of(nominal, {}).size), np.zeros(observed.bench.shape[1]))
-    columns = form_columns(nominal, observed, state, 1e-6)
+    columns = form_columns(nominal, observed, state, linearise(nominal, observed, state), 1e-6)
 
     def model(name, size):
         formed = dataclasses.replace(state, surface=with_structured(surface, {name: size}))
