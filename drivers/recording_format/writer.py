@@ -37,12 +37,12 @@ class _Sink(io.RawIOBase):
 
     def __init__(self, descriptor: int, schema: pa.Schema) -> None:
         self._descriptor = descriptor
+        self._parts: list[bytes] = []  # before anything is written: a sink that could not be opened is flushed too
         empty = pa.BufferOutputStream()
         pa.ipc.new_stream(empty, schema).close()
         header = bytes(empty.getvalue())[: -len(END_OF_STREAM)]
         self._put(header)
         self._skip = len(header)
-        self._parts: list[bytes] = []
 
     def _put(self, data: bytes) -> None:
         rest = memoryview(data)

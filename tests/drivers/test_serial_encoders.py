@@ -255,10 +255,11 @@ def test_a_multi_turn_encoder_counts_turns_that_readings_missed(tmp_path):
         done = record(bench.write_wiring(tmp_path / "BENCH.toml"), path, stop=lambda: bench.wait(0.0))
     samples = read_recording(path).samples["input_angle"]
     assert done.marks["input_angle"]["resets"] >= 1, "it turned by more than half a turn unseen"
-    # A busy machine records the encoder at rest too, after the motion.
+    # A busy machine records the encoder at rest too, after the motion, and stamps single answers late, which medians
+    # leave out.
     moving = samples.value != samples.value[-1]
-    value, time_host = samples.value[moving], samples.time_host[moving]
-    assert (value[-1] - value[0]) / (2 * math.pi) == pytest.approx(20 * (time_host[-1] - time_host[0]), abs=1.0)
+    ahead = samples.value[moving] / (2 * math.pi) - 20 * samples.time_host[moving]
+    assert np.median(ahead[-50:]) == pytest.approx(np.median(ahead[:200]), abs=0.5)
 
 
 @given(st.lists(st.integers(-3000, 3000), min_size=2, max_size=60), st.integers(-(10**5), 10**5))
