@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
+import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
@@ -72,8 +73,12 @@ def _torques(given: Any, pair: Pair) -> list[float]:
     return [_torque(one) for one in ([given] if isinstance(given, str) or np.ndim(given) == 0 else given)]
 
 
-def _crank_angles(angles: int, turns: int = 1) -> Array:
-    """Return crank angles evenly spaced over whole turns from 0, end excluded, rad."""
+def _crank_angles(pair: Pair, angles: int, turns: int = 1) -> Array:
+    """Return crank angles evenly over whole turns from 0, end excluded, rad; warn if they miss part of the mesh."""
+    from cycloid_fmu.analysis import step_notes
+
+    for note in step_notes(pair.pins, angles, turns):
+        warnings.warn(note, edge.InputWarning, stacklevel=3)
     return np.linspace(0.0, 2.0 * math.pi * turns, angles, endpoint=False)
 
 
@@ -230,7 +235,7 @@ class Drive(DriveValue):
         from cycloid_fmu.analysis import analyze
 
         if crank_angle is None:
-            crank_angle = _crank_angles(angles, turns)
+            crank_angle = _crank_angles(self.pair, angles, turns)
         return analyze(
             self,
             _torques(torque, self.pair),
@@ -293,7 +298,7 @@ class Drive(DriveValue):
         return figures(
             self,
             _torques(torque, self.pair),
-            _crank_angles(angles, turns),
+            _crank_angles(self.pair, angles, turns),
             speed,
             workers=_cores(workers),
             progress=progress,
@@ -362,7 +367,7 @@ class Drive(DriveValue):
         return heat(
             self,
             turning,
-            _crank_angles(angles, turns),
+            _crank_angles(self.pair, angles, turns),
             workers=_cores(workers),
             progress=progress,
         )
@@ -474,7 +479,7 @@ class Drive(DriveValue):
             self,
             stated,
             [] if torque is None else _torques(torque, self.pair),
-            _crank_angles(angles, turns),
+            _crank_angles(self.pair, angles, turns),
             workers=_cores(workers),
             progress=progress,
         )
@@ -592,7 +597,7 @@ class Drive(DriveValue):
         from cycloid_fmu.supports.figures import bearing_loads
 
         loads = _torques(torque, self.pair)
-        crank_angle = _crank_angles(angles, turns)
+        crank_angle = _crank_angles(self.pair, angles, turns)
         found = solve(self, loads, crank_angle, with_play=False)
         return bearing_loads(self.pair, found)
 
@@ -645,7 +650,7 @@ class Drive(DriveValue):
         from cycloid_fmu.supports.transmission import parameters_of
 
         if crank_angle is None:
-            crank_angle = _crank_angles(angles)
+            crank_angle = _crank_angles(self.pair, angles)
         known = [*names_of(self.pair), *parameters_of(self.pair)]
         names = list(errors) if errors is not None else known
         for name in names:

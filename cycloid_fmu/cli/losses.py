@@ -56,7 +56,6 @@ def losses(
 
     Example: [cyan]cycloid-fmu losses pair.toml --crank-speed "600 rpm" --torque "181 N*m" --plot losses.png[/]
     """
-    from cycloid_fmu.analysis import step_notes
     from cycloid_fmu.drive import read_drive
     from cycloid_fmu.losses.solver import losses_of
 
@@ -89,8 +88,6 @@ def losses(
     else:
         _print(drive, found, pair_file.name)
         _print_heat(warm)
-    for note in step_notes(drive.pair.pins, angles, turns):
-        typer.echo(f"Note: {note}", err=True)
     if any(each.too_warm for each in warm):
         raise typer.Exit(edge.NOT_MET)
 

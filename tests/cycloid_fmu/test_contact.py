@@ -848,3 +848,9 @@ def test_a_crank_at_rest_under_changing_torques_deviates_as_under_each_alone(tor
     np.testing.assert_allclose(found.transmission_error[0, : wanted.size], wanted, rtol=0.0, atol=1e-10)
     stiffness = np.array([one.torsional_stiffness[0, 0] for one in alone])
     np.testing.assert_allclose(found.torsional_stiffness[0, : wanted.size], stiffness, rtol=1e-2)
+
+
+def test_angles_in_step_with_the_pins_warn_from_python_too():
+    drive = Drive(read_pair(EXAMPLES / "drive-39-40.toml"))
+    with pytest.warns(edge.InputWarning, match="80 crank angles meet only 2 phases .* take 81"):
+        drive.analyze(angles=80)
