@@ -17,12 +17,8 @@ class FrictionValue(NamedTuple):
 
     @property
     def middle(self) -> tuple[float, float]:
-        """Coefficients at speed and at rest to compute with: geometric means, as no source weighs its range.
-
-        They have four digits, because they stand in pair files.
-        """
-        of_speed, at_rest = math.sqrt(self.low * self.high), math.sqrt(self.static_low * self.static_high)
-        return float(f"{of_speed:.4g}"), float(f"{at_rest:.4g}")
+        """Coefficients at speed and at rest to compute with: the geometric means, as no source weighs its range."""
+        return math.sqrt(self.low * self.high), math.sqrt(self.static_low * self.static_high)
 
 
 _GUIDE = "Lust, Engineering Guide CDA3000, table 7.21"

@@ -220,8 +220,11 @@ class Sizing:
             f"{wish.material} by {wish.process}, {'arcs' if wish.ring == 'conjugate' else 'pins'} of "
             f"{wish.material_of_pins}."
         )
-        table, found = "", [head, *(f"# {note}" for note in self.notes), title]
+        table, by_name, found = "", False, [head, *(f"# {note}" for note in self.notes), title]
         for line in lines:
+            if by_name and line.startswith(("friction_coefficient = ", "static_friction_coefficient = ")):
+                continue  # the name states them, without the digits of a geometric mean
+            by_name = line.startswith("friction = ") or (by_name and not line.startswith("["))
             if line.startswith("["):
                 table = line.strip("[]")
                 reason = self.reasons.get(table)

@@ -91,9 +91,8 @@ def test_a_coefficient_is_known_within_the_range_of_its_materials():
     for high in (False, True):
         moved = losses_with(pair.losses, {FLANK: 2.0 * size * (1.0 if high else -1.0)})
         end = pair.losses.at_end(high)
-        # The mean between them has four digits.
-        assert moved.flank.friction_coefficient == pytest.approx(end.flank.friction_coefficient, rel=5e-4)
-        assert moved.flank.static == pytest.approx(end.flank.static, rel=5e-4)
+        assert moved.flank.friction_coefficient == pytest.approx(end.flank.friction_coefficient, rel=1e-12)
+        assert moved.flank.static == pytest.approx(end.flank.static, rel=1e-12)
     assert losses_with(pair.losses, {FLANK: 0.0}) == pair.losses
     assert losses_with(pair.losses, {FLANK: 9.0}).flank.friction_coefficient == 2.0
     # What is stated as a number is known, and without bearings there is no friction.
