@@ -114,8 +114,9 @@ def _turn(pair: Pair) -> Array:
 
 def _of_tolerances(pair: Pair, tolerances: Tolerances | None) -> list[Figure]:
     """Backlash and transmission error, as drawn and of sampled drives."""
-    pair = pair.nominal.replace(supports=None, bodies=None, losses=None, thermal=None, temperature=None)
     torque = (pair.rated_load(),)
+    bare = dict.fromkeys(("supports", "bodies", "losses", "thermal", "temperature", "rated_torque"))
+    pair = pair.nominal.replace(**bare)
     samples = 1 if tolerances is None else _DRIVES
     stated = Tolerances() if tolerances is None else tolerances
     study = tolerance.Study(pair, stated, samples=samples, seed=1, torque=torque, angles=_turn(pair).size)

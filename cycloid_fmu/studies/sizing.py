@@ -457,14 +457,10 @@ def _modified(pair: Pair, wish: Wish, tolerance_text: str, progress: Callable[[s
 
 def _free(pair: Pair, tolerances: Tolerances) -> float:
     """Return the share of sampled drives that turn without interference."""
-    study = Study(
-        pair,
-        tolerances,
-        samples=_JUDGED,
-        seed=_SEED,
-        torque=(pair.rated_load(),),
-        angles=out_of_step(pair.pins, _ANGLES),
-    )
+    # Without a rated torque, and so without its share for the lost motion, which some drives carry on no flank.
+    bare, torque = pair.replace(rated_torque=None), (pair.rated_load(),)
+    angles = out_of_step(pair.pins, _ANGLES)
+    study = Study(bare, tolerances, samples=_JUDGED, seed=_SEED, torque=torque, angles=angles)
     interference = [name for name, _ in study.columns].index("interference")
     surfaces = [surface_of(study, point) for point in points(study)]
     return float((exact_figures(study, surfaces)[:, interference] <= 0.0).mean())

@@ -98,10 +98,8 @@ class Gaussian:
     @cached_property
     def covariance(self) -> Array:
         """Covariance, symmetric, shape (unknowns, unknowns)."""
-        factor, is_lower = self._factor
-        half, _ = linalg.lapack.dpotri(factor, is_lower)
-        half = np.tril(half) if is_lower else np.triu(half)
-        symmetric: Array = (half + half.T - np.diag(np.diag(half))) / np.outer(self._size, self._size)
+        inverse = linalg.cho_solve(self._factor, np.eye(self._size.size)) / np.outer(self._size, self._size)
+        symmetric: Array = 0.5 * (inverse + inverse.T)
         return symmetric if self._ways is None else self._ways @ symmetric @ self._ways.T
 
     @property

@@ -29,7 +29,7 @@ def report():
 def test_errors_of_bearings_are_left_out_of_what_the_mesh_alone_has():
     pair = cy.read_drive(EXAMPLES / "drive-39-40-bearings.toml").pair
     backlash = next(each for each in figures_of(pair)[0] if each.name == "backlash").values[0]
-    turn = np.linspace(0.0, 2.0 * np.pi, 90, endpoint=False)
+    turn = np.linspace(0.0, 2.0 * np.pi, 91, endpoint=False)
     bare = pair.nominal.replace(supports=None, losses=None, thermal=None)
     alone = solve(DriveValue(bare, surface_of_pair(bare)), [181.0], turn, with_play=True)
     assert backlash == pytest.approx(alone.backlash.max(), rel=1e-3)
@@ -42,7 +42,7 @@ def test_comments_at_the_head_are_what_is_assumed():
 def test_the_page_has_the_figures_and_why_others_are_missing(report, tmp_path):
     write_design_report(report, tmp_path / "report.html")
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    turn = np.linspace(0.0, 2.0 * np.pi, 90, endpoint=False)
+    turn = np.linspace(0.0, 2.0 * np.pi, 91, endpoint=False)
     found = solve(DriveValue(PAIR, surface_of_pair(PAIR)), [181.0], turn, with_play=False)
     assert f"{found.max_contact_pressure.max() * 1e-6:.3g}" in page
     assert f"{found.torsional_stiffness.mean():.3g}" in page

@@ -464,7 +464,7 @@ def test_fmus_of_a_worn_drive_at_its_crank_turns(run, command, tmp_path):
         assert found == pytest.approx(expected, abs=1e-3 * ARCSEC)
     done = command(*given, "--crank-turns", "5e5")
     assert done.returncode == 2
-    assert "crank_turns = 500000: it must be between 0 and 400000, the end of the life" in done.stderr
+    assert "--crank-turns = 500000.0: it must be between 0 and 400000, the end of the life" in done.stderr
 
 
 @pytest.mark.parametrize(
