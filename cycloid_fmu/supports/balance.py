@@ -22,6 +22,7 @@ from cycloid_fmu.supports.joints import FIRST_DISC, Assembly, Work, derivatives,
 from cycloid_fmu.supports.ports import Elastic, has_ports, reach_of, set_exact
 
 NEIGHBOUR = 0.1  # rad: a solution farther away is no useful start
+_NEARBY = 0.01  # rad: from a crank angle without a balance that is reached from ideal positions to one that has it
 _EXACT = 1e-14  # m: a step within rounding
 _LONGEST = 25e-6  # m: largest step
 _REACH = 4e-6  # m: pins closer than this are solved at every step, the others after the discs have moved this far
@@ -367,25 +368,28 @@ def settling(assembled: Callable[..., Any]) -> _Settle:
     ) -> int:
         """Solve the balance from `work.coordinates` or, if `cold` or without success, from ideal positions.
 
-        Centring springs soften from ideal positions on. Return the number of steps, 0 without a balance.
+        Centring springs soften from ideal positions on. Where that fails, as within 1e-5 rad of a symmetric position of
+        a drive that jams, the balance at a crank angle nearby is the start. Return the number of steps, 0 without a
+        balance.
         """
         total = taken = 0
         set_exact(work.ports, 0.0)
-        for stage in range(1 if cold else 0, 3):
-            if stage > 0:
+        for stage in range(1 if cold else 0, 5):
+            angle = crank_angle + _NEARBY if stage == 3 else crank_angle
+            if 0 < stage < 4:
                 for i in range(work.coordinates.size):
                     work.coordinates[i] = 0.0
                 work.moved[0] = math.inf
-            spring, taken = 1e8 if stage == 2 else pull.centring, 0
+            spring, taken = 1e8 if stage in (2, 3) else pull.centring, 0
             while True:
-                most = _LAST_ITERATIONS if stage == 2 and spring == pull.centring else _ITERATIONS
+                most = _LAST_ITERATIONS if stage >= 2 and spring == pull.centring else _ITERATIONS
                 stage_pull = Load(pull.torque, pull.spring, pull.flange, spring)
-                taken = balance(problem, assembly, crank_angle, stage_pull, contacts, work, more, most)
+                taken = balance(problem, assembly, angle, stage_pull, contacts, work, more, most)
                 total += taken if taken > 0 else most
                 if spring == pull.centring:
                     break
                 spring = max(0.1 * spring, pull.centring)
-            if taken > 0:
+            if (taken > 0) != (stage == 3):
                 break
         if set_exact(work.ports, 1.0) and taken > 0:
             assembled(problem, assembly, crank_angle, pull, contacts, work, more)
