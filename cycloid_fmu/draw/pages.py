@@ -51,8 +51,7 @@ td.definition { font-size: .85em; color: #555; } td.code { font: .8em monospace;
 """Head of an HTML report, a jinja2 template of `title` and `facts`."""
 
 
-Line = tuple[str, dict[str, Any]]
-"""A line of text on a page, with matplotlib's properties of it."""
+Line = tuple[str, dict[str, Any]]  # a line of text on a page, with matplotlib's properties of it
 
 
 @dataclass(frozen=True)

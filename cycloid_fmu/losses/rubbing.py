@@ -130,7 +130,7 @@ def bearing_friction(law: np.record, direction: float, speed: float, force: floa
 
 
 @compiled
-def _flank_speed(problem: Problem, local: contact.LocalFrame, distance: float) -> float:
+def flank_speed(problem: Problem, local: contact.LocalFrame, distance: float) -> float:
     """Sliding of a flank on its pin along ẑ × n for each radian of the crank, m.
 
     Parameters
@@ -150,7 +150,7 @@ def _flank_speed(problem: Problem, local: contact.LocalFrame, distance: float) -
 def flank_friction(problem: Problem, rubbing: Rubbing, local: contact.LocalFrame, flank: np.record) -> Acting:
     """Friction of a flank on its pin, of a row of contacts."""
     radius = problem.pin_radius[local.pin]
-    speed = _flank_speed(problem, local, flank.gap + radius)
+    speed = flank_speed(problem, local, flank.gap + radius)
     return sliding_friction(rubbing.laws[FLANK_LAW], rubbing.direction, radius, speed, flank.force)
 
 
