@@ -29,7 +29,7 @@ _PACKAGE = Path(__file__).parents[1]
 KERNEL_FILES = (
     *(file for room in ("contact", "supports", "losses") for file in sorted((_PACKAGE / room).glob("*.py"))),
     *(_PACKAGE / "fmu" / name for name in ("constants.py", "exact_contacts.py")),
-    *(_PACKAGE / name for name in ("bodies/disc.py", "geometry/losses.py")),
+    *(_PACKAGE / name for name in ("bodies/outline.py", "geometry/losses.py")),
 )
 SOURCES = hash_of_code(filter(Path.exists, KERNEL_FILES))
 """Hash of the sources of all kernels."""

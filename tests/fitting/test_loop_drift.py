@@ -196,7 +196,7 @@ def test_stiffness_by_segments_is_that_of_the_spring_there():
     stated = figures_json(found)["torsional_stiffness"]["segments"]
     assert stated["K3"]["value"] == segments["K3"].value
     (panel,) = (p for p in panels_of(found) if p.title == "Torsional stiffness by torque")
-    assert [t.texts for t in panel.traces if t.texts] == [("K1", "K1", "K2", "K2", "K3", "K3")]
+    assert [t.texts for t in panel.traces if t.texts] == [("K1", "K2", "K3") * 2]
     default = fitting.metrics(run, ratio=-39.0, rated_torque=RATED).figures["torsional_stiffness"].segments
     ends = [share * RATED for share in (0.03, 0.15, 0.5, 1.0)]
     assert [one.interval for one in default.values()] == [pytest.approx(e) for e in itertools.pairwise(ends)]
