@@ -43,9 +43,7 @@ def tolerance(
             ("sobol", "latin-hypercube", "saltelli"), "Sampling method; saltelli also gives Sobol indices."
         ),
     ] = "sobol",
-    angles: Annotated[
-        int, typer.Option(min=20, help="Number of crank angles from 0, end excluded; every tenth also for play.")
-    ] = ANGLES,
+    angles: Annotated[int, typer.Option(min=20, help="Number of crank angles from 0, end excluded.")] = ANGLES,
     turns: Annotated[int, typer.Option(min=1, help="Number of crank turns that the angles span.")] = 1,
     workers: Annotated[int, typer.Option(min=1, help="Number of processes.")] = os.cpu_count() or 1,
     scheduler: Annotated[

@@ -105,7 +105,8 @@ def _models(drive: DriveValue, temperatures: Sequence[float] | None, workers: in
         return [Model(0.0, pair, surface, rigid, workers)]
     low, high = temperatures
     if not low < high:
-        raise ArgumentError("temperatures", "must be two, ascending")
+        given = f"{low - 273.15:.6g} degC, {high - 273.15:.6g} degC"
+        raise ArgumentError("temperatures", "the first must be below the second", given)
     models = []
     for at in np.linspace(low, high, _TEMPERATURES):
         warm = pair.replace(temperature=Temperatures(**dict.fromkeys(BODIES, float(at))))

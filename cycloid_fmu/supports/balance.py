@@ -368,12 +368,13 @@ def settling(assembled: Callable[..., Any]) -> _Settle:
     ) -> int:
         """Solve the balance from `work.coordinates` or, if `cold` or without success, from ideal positions.
 
-        Centring springs soften from ideal positions on. Where that fails, as within 1e-5 rad of a symmetric position of
-        a drive that jams, the balance at a crank angle nearby is the start. Return the number of steps, 0 without a
-        balance.
+        Return the number of steps, 0 without a balance.
         """
         total = taken = 0
         set_exact(work.ports, 0.0)
+        # Stages: 0 from the given positions, 1 from ideal ones, 2 from these with centring springs that soften. All of
+        # them fail within 1e-5 rad of a symmetric position of a drive that jams; there stage 3 is stage 2 at a crank
+        # angle nearby, and stage 4 starts from its balance.
         for stage in range(1 if cold else 0, 5):
             angle = crank_angle + _NEARBY if stage == 3 else crank_angle
             if 0 < stage < 4:
