@@ -332,20 +332,20 @@ class _Descent:
                 is_settled, is_tried = self._settle(promised), True
                 self.limit = _limits(self.normal)
                 continue
-            step = self.unknowns.within(self.vector + step) - self.vector
+            vector = self.unknowns.within(self.vector + step)
             self.evaluations += 1
             try:
                 then = _evaluated(
-                    self.unknowns, self.vector + step, self.observed, self.limit, self.around, near=self.normal.linears
+                    self.unknowns, vector, self.observed, self.limit, self.around, near=self.normal.linears
                 )
             except edge.InputError:
                 # So far away no contacts balance the load.
                 damping = max(_DAMPING_STEP * damping, _DAMPED)
                 continue
-            gained = misfit - self._misfit(then, precision, self.vector + step)
+            gained = misfit - self._misfit(then, precision, vector)
             idle = idle + 1 if gained < self.gain else 0
             if gained > 0.0:
-                self.vector, self.normal, is_tried = self.vector + step, then, False
+                self.vector, self.normal, is_tried = vector, then, False
                 damping = max(damping / _DAMPING_STEP, _UNDAMPED) if gained > _AS_PROMISED * promised else damping
                 if is_estimated:
                     is_settled = self._settle(promised)

@@ -139,6 +139,8 @@ class Gaussian:
     def bounded(self, low: Array, high: Array, rows: Array | None = None) -> Array:
         """Return the most likely values within bounds: what is beyond is put at its bound, the farthest first.
 
+        What cannot move keeps its value, also one that rounding has put beyond its bound.
+
         Parameters
         ----------
         low, high
@@ -147,10 +149,11 @@ class Gaussian:
             Shape (rows, unknowns); by default the bounds are those of the unknowns.
         """
         every, values, held = np.eye(self.slope.size) if rows is None else rows, self.mean, dict[int, float]()
+        is_fixed = np.zeros(len(every), dtype=bool) if self._ways is None else ~(every @ self._ways).any(axis=1)
         while True:
             combined = values if rows is None else rows @ values
             beyond = np.maximum(low - combined, combined - high)
-            beyond[list(held)] = 0.0
+            beyond[list(held)], beyond[is_fixed] = 0.0, 0.0
             if not beyond.size or beyond[at := int(np.argmax(beyond))] <= 0.0:
                 return np.clip(values, low, high) if rows is None else values
             held[at] = float(low[at] if combined[at] < low[at] else high[at])

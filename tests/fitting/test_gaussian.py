@@ -122,6 +122,12 @@ def test_held_unknowns_are_those_given_as_zero(joint):
     size = np.sqrt(np.diag(covariance))
     assert rest.mean / size == pytest.approx(expected / size, abs=1e-9)
     assert not rest.mean[held].any()
+    # Rounding has put a held unknown beyond its bound: it stays, whatever bounds the others have.
+    low, high = np.where(held, 1e-17, -np.inf), np.full(5, np.inf)
+    assert rest.bounded(low, high) / size == pytest.approx(expected / size, abs=1e-9)
+    low[0] = rest.mean[0] + size[0]
+    expected, _ = distribution.given(np.eye(5)[held | (np.arange(5) == 0)], np.array([low[0], 0.0, 0.0]))
+    assert rest.bounded(low, high) / size == pytest.approx(expected / size, abs=1e-9)
     assert distribution.holding(np.zeros(5, bool)) is distribution
 
 
