@@ -342,6 +342,10 @@ class _Descent:
                 # So far away no contacts balance the load.
                 damping = max(_DAMPING_STEP * damping, _DAMPED)
                 continue
+            if (then.outlying > then.count).any():
+                # The step has left a curve: its noise would follow from the few points that are no outliers.
+                damping = max(_DAMPING_STEP * damping, _DAMPED)
+                continue
             gained = misfit - self._misfit(then, precision, vector)
             idle = idle + 1 if gained < self.gain else 0
             if gained > 0.0:
