@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
@@ -32,6 +31,7 @@ from fitting.estimation.validation import Likely, Residual, Verdict, likely_caus
 from fitting.model.bearings import BEARINGS, PLAY, stiffness_shares
 from fitting.model.discrepancy import causes
 from fitting.model.first_stage import with_play
+from fitting.model.gaussian import equations
 from fitting.model.observations import (
     Observations,
     State,
@@ -131,7 +131,7 @@ def identified(
 
     The other arguments are those of `fitting.identify`, the form in m.
     """
-    with threadpool_limits(limits=1, user_api="blas"):
+    with equations():
         estimate, verdict, sizes = continued(curves, earlier, progress)
         form = 0.0 if estimate.observed.profile else form
         result = result_of(estimate, verdict, None, sizes, profiled, bootstrap, (), form, progress)

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
@@ -34,6 +33,7 @@ from fitting.estimation.result import Identification, result_of
 from fitting.estimation.starts import descriptions
 from fitting.estimation.validation import HeldOut, mispredicted
 from fitting.model.constraints import Constraints, checked
+from fitting.model.gaussian import equations
 from fitting.model.loops import observed_curves, on_the_curves_zero
 from fitting.model.observations import errors_of
 from fitting.model.posterior import Posterior
@@ -148,25 +148,15 @@ def identify(
         usual = dataclasses.replace(usual, constraints=Constraints.of(parameters))
         pair = _stating(pair, {n: p.value for n, p in parameters.items() if n in errors_of(pair)})
     shape = 0.0 if usual.profile else shape
-    try:
-        # The kernel's threads keep the processor busy; those of linear algebra would spin beside them.
-        with threadpool_limits(limits=1, user_api="blas"):
-            # The model on bearings fits no form: intervals allow for it, and the verdict does not name it.
-            cause = 0.0 if pair.supports is not None else shape
-            prediction = Prediction(pair, running, loops, kept_back(running) if held_out else (), progress)
-            explained, predicted = _explained(prediction, usual, cause)
-            estimate, others = _described_otherwise(explained, progress)
-            verdict = dataclasses.replace(
-                explained.verdict, descriptions=1 + len(others), disagreeing=estimate.disagreeing
-            )
-            shape = 0.0 if estimate.observed.profile else shape
-            result = result_of(
-                estimate, verdict, predicted, usual.scatter, profiled, bootstrap, others, shape, progress
-            )
-    except np.linalg.LinAlgError:
-        raise edge.InputError(
-            "the equations of the fit are singular, as for curves without noise; add some to simulated ones."
-        ) from None
+    with equations():
+        # The model on bearings fits no form: intervals allow for it, and the verdict does not name it.
+        cause = 0.0 if pair.supports is not None else shape
+        prediction = Prediction(pair, running, loops, kept_back(running) if held_out else (), progress)
+        explained, predicted = _explained(prediction, usual, cause)
+        estimate, others = _described_otherwise(explained, progress)
+        verdict = dataclasses.replace(explained.verdict, descriptions=1 + len(others), disagreeing=estimate.disagreeing)
+        shape = 0.0 if estimate.observed.profile else shape
+        result = result_of(estimate, verdict, predicted, usual.scatter, profiled, bootstrap, others, shape, progress)
     beside += _form_notes(drive)
     stated = tolerances if isinstance(tolerances, Tolerances) else None
     return dataclasses.replace(result, notes=(*result.notes, *beside), tolerances=stated)

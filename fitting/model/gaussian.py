@@ -2,17 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
+from threadpoolctl import threadpool_limits
+
+from cycloid_fmu import edge
 
 Array = NDArray[np.float64]
 Part = Sequence[str] | Sequence[int] | NDArray[np.int64]
 """Some unknowns, by name or by number."""
+
+
+@contextmanager
+def equations() -> Iterator[None]:
+    """Solve the equations of a fit on one thread: the kernel's keep the processor busy, others would spin beside them.
+
+    Raises
+    ------
+    edge.InputError
+        If they are singular.
+    """
+    try:
+        with threadpool_limits(limits=1, user_api="blas"):
+            yield
+    except np.linalg.LinAlgError:
+        raise edge.InputError(
+            "the equations of the fit are singular, as for curves without noise; add some to simulated ones."
+        ) from None
 
 
 class Gaussian:

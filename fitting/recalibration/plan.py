@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
@@ -17,7 +16,7 @@ from fitting.arguments import positive
 from fitting.estimation.continuation import state_before
 from fitting.estimation.parameter import NORMAL
 from fitting.estimation.plan import planned_curve
-from fitting.model.gaussian import Evidence
+from fitting.model.gaussian import Evidence, equations
 from fitting.model.posterior import Posterior
 from fitting.model.unknowns import Unknowns
 from fitting.recalibration.drift import DRIFT, drifted, fitted_drive
@@ -124,7 +123,7 @@ def plan_visit(
         # The position of the mark has hardly any effect on the information about the mean.
         marks = [LostMotion(0.0, passing * np.sqrt(2.0), loads[-1], 0.0)]
         sets[f"an index mark passed both ways at {loads[-1]:g} N·m"] = [], marks
-    with threadpool_limits(limits=1, user_api="blas"):
+    with equations():
         gradient = Gradient(known).gradients["backlash"]
         widths = {
             words: _half_widths(known, gradient, runs, marks, bits, share) for words, (runs, marks) in sets.items()

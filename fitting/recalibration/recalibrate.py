@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import special
-from threadpoolctl import threadpool_limits
 
 from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
@@ -18,6 +17,7 @@ from cycloid_fmu.surfaces.structured import unit_of
 from fitting.arguments import positive
 from fitting.estimation.continuation import check_comparable
 from fitting.model.bearings import unit_of_bearing, unknown_bearings
+from fitting.model.gaussian import equations
 from fitting.model.loops import observed_curves
 from fitting.model.posterior import Posterior
 from fitting.readers.sources import Source
@@ -157,7 +157,7 @@ def recalibrate(
     share = positive(torque_share, "1", "torque_share", zero=True)
     if bits is not None and not 8 <= bits <= 32:
         raise edge.ArgumentError("bits", "it must be from 8 to 32", bits)
-    with threadpool_limits(limits=1, user_api="blas"):
+    with equations():
         curves = observed_curves(recordings, drive)
         for curve in curves:
             check_comparable(curve, drive)

@@ -88,9 +88,22 @@ def test_simulated_runs_without_noise_are_refused_in_a_sentence():
     drive = read_drive(EXAMPLES / "drive-39-40.toml").replace(gear_teeth=9, pins=10, eccentricity=0.003)
     angle = np.linspace(0.0, 2 * np.pi * 9, 120)
     error = drive.replace(errors={"eccentricity": "3 um"}).analyze([20.0, -20.0, 100.0, -100.0], crank_angle=angle)
-    runs = [
-        fitting.Run(input_angle=angle, output_angle=one - angle / 9, torque=load, common_zero=True, known_index=True)
-        for load, one in zip(error.torque.values, error.transmission_error.values, strict=True)
-    ]
+    generator = np.random.default_rng(0)
+
+    def runs(noise):
+        return [
+            fitting.Run(
+                input_angle=angle,
+                output_angle=curve - angle / 9 + noise * generator.normal(size=angle.size),
+                torque=load,
+                common_zero=True,
+                known_index=True,
+            )
+            for load, curve in zip(error.torque.values, error.transmission_error.values, strict=True)
+        ]
+
     with pytest.raises(edge.InputError, match="curves without noise"):
-        fitting.identify(runs, drive, held_out=False)
+        fitting.identify(runs(0.0), drive, held_out=False)
+    prior = fitting.identify(runs(1e-6), drive, held_out=False)
+    with pytest.raises(edge.InputError, match="curves without noise"):
+        fitting.identify(runs(0.0), drive, prior=prior)
