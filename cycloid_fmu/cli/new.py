@@ -68,7 +68,7 @@ def new(
     """
     from cycloid_fmu.draw.design_report import report_of, write_design_report
     from cycloid_fmu.drive import Drive
-    from cycloid_fmu.studies.sized_figures import FIGURES_HEAD, NOT_COMPUTED, figures_of
+    from cycloid_fmu.studies.sized_figures import NOT_COMPUTED, figures_head, figures_of
     from cycloid_fmu.studies.sizing import SIZED_FILES, Wish, size, write_sizing
     from cycloid_fmu.studies.strength import HEAD
     from cycloid_fmu.surfaces.sampling import parse_tolerances
@@ -103,7 +103,7 @@ def new(
         return
     if folder is None:
         typer.echo(drive.text)
-    commands.print_table("Figures", FIGURES_HEAD, [each.row() for each in figures])
+    commands.print_table("Figures", figures_head(drive.pair), [each.row() for each in figures])
     commands.print_table("Nominal stresses at rated torque", HEAD, [each.row() for each in stresses])
     for note in drive.notes:
         typer.echo(note)

@@ -25,7 +25,7 @@ def report(
         ),
     ] = None,
 ) -> None:
-    """Write a report of a drive as drawn, HTML or PDF: drawing, figures with ranges, strength, verdicts, assumptions.
+    """Write a report of a drive with its stated errors, HTML or PDF: drawing, figures with ranges, strength, verdicts, assumptions.
 
     Example: [cyan]cycloid-fmu report joint/drive.toml --tolerances joint/tolerances.toml -o report.pdf[/]
     """

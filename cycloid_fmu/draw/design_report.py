@@ -1,4 +1,4 @@
-"""The report of a drive as drawn: drawing, figures, stresses, verdicts, and what is assumed or not judged."""
+"""The report of a drive: drawing, figures, stresses, verdicts, and what is assumed or not judged."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from cycloid_fmu.draw.pages import (
 )
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.studies import limits
-from cycloid_fmu.studies.sized_figures import FIGURES_HEAD, NOT_COMPUTED, Figure
+from cycloid_fmu.studies.sized_figures import NOT_COMPUTED, Figure, figures_head
 from cycloid_fmu.studies.strength import HEAD as STRESS_HEAD
 from cycloid_fmu.studies.strength import Stress
 
@@ -101,7 +101,7 @@ def report_of(
         Verdicts on limits, if there are any.
     """
     tables = [
-        _table("Figures at rated torque", FIGURES_HEAD, [each.row() for each in figures]),
+        _table("Figures at rated torque", figures_head(pair), [each.row() for each in figures]),
         _table("Nominal stresses", STRESS_HEAD, [each.row() for each in stresses]),
     ]
     if judged is not None:

@@ -33,8 +33,11 @@ _UNKNOWN = (math.nan, math.nan, math.nan)
 _SLOW = 1.0  # rad/s of the crank: friction of a drive that turns slowly, without drags of speed
 
 
-FIGURES_HEAD = ("", "as drawn", "range", "unit", "of")
-"""Columns of `Figure.row`."""
+def figures_head(pair: Pair) -> tuple[str, ...]:
+    """Return the columns of `Figure.row`."""
+    return ("", "with its errors" if pair.errors else "as drawn", "range", "unit", "of")
+
+
 NOT_COMPUTED = "Not computed: strength of crank, carrier, ring and housing, seals, wear, heat and noise."
 
 
@@ -46,7 +49,7 @@ class Figure(NamedTuple):
     name, unit
         Its name and SI unit.
     values
-        As drawn, and the ends of its range.
+        Of the drive as stated, and the ends of its range.
     basis
         What the range is of, or why the value is not known.
     shown
@@ -79,14 +82,15 @@ def figures_of(
     progress: Callable[[str], None] = lambda step: None,
     crank_speed: float = CRANK_SPEED,
 ) -> tuple[list[Figure], list[Stress]]:
-    """Return the figures of a drive as drawn, at its rated torque, and its nominal stresses.
+    """Return the figures of a drive with its stated errors, at its rated torque, and its nominal stresses.
 
     Parameters
     ----------
     pair
         The drive; it must state its rated torque.
     tolerances
-        What its parts hold, for the range of backlash and transmission error; None without ranges.
+        What its parts hold, for the range of backlash, transmission error and pressure; None without ranges. Sampled
+        drives have no stated errors.
     bodies
         Dimensions of discs and pins, for masses and stresses; None for those of the pair.
     progress
@@ -95,43 +99,61 @@ def figures_of(
         Of a bearing's life in hours, rad/s.
     """
     bodies = bodies or pair.bodies
-    progress("tolerances")
-    found = _of_tolerances(pair, tolerances)
     progress("stiffness and pressure")
     solved = _over_modulus(pair)
-    found += _of_material(pair, solved, crank_speed)
+    progress("tolerances")
+    sampled = None if tolerances is None else _sampled(pair, tolerances)
+    figures = [*_of_play(pair, solved[0], sampled), *_of_material(pair, solved, sampled, crank_speed)]
     if pair.losses is not None and pair.supports is not None:
         progress("losses")
-        found += _of_friction(pair.replace(bodies=None))
+        figures += _of_friction(pair.replace(bodies=None))
     progress("strength")
     stresses = strength(DriveValue(pair, surface_of_pair(pair)), solved[0], bodies)
-    return found + _of_mass(pair, bodies), stresses
+    return figures + _of_mass(pair, bodies), stresses
 
 
 def _turn(pair: Pair) -> Array:
     return np.linspace(0.0, 2.0 * np.pi, out_of_step(pair.pins, _ANGLES), endpoint=False)
 
 
-def _of_tolerances(pair: Pair, tolerances: Tolerances | None) -> list[Figure]:
-    """Backlash and transmission error, as drawn and of sampled drives."""
-    torque = (pair.rated_load(),)
-    bare = dict.fromkeys(("supports", "bodies", "losses", "thermal", "temperature", "rated_torque"))
-    pair = pair.nominal.replace(**bare)
-    samples = 1 if tolerances is None else _DRIVES
-    stated = Tolerances() if tolerances is None else tolerances
-    study = tolerance.Study(pair, stated, samples=samples, seed=1, torque=torque, angles=_turn(pair).size)
-    (drawn,) = tolerance.exact_figures(study, [surface_of_pair(pair)])
-    sampled, basis = np.full((1, drawn.size), np.nan), "the mesh alone"
-    if tolerances is not None:
-        surfaces = [tolerance.surface_of(study, point) for point in tolerance.points(study)]
-        sampled, basis = tolerance.exact_figures(study, surfaces), "the mesh alone; 90 % of drives in the tolerances"
+def _sampled(pair: Pair, tolerances: Tolerances) -> dict[str, Array]:
+    """Return the figures of sampled drives with rigid bodies at rated torque, each of shape (drives,)."""
+    without = dict.fromkeys(("bodies", "losses", "thermal"))
+    torque, turn = (pair.rated_load(),), _turn(pair)
+    study = tolerance.Study(pair.nominal.replace(**without), tolerances, _DRIVES, 1, torque, angles=turn.size)
+    surfaces = [tolerance.surface_of(study, point) for point in tolerance.points(study)]
+    columns = tolerance.exact_figures(study, surfaces).T
+    return {name: column for (name, _), column in zip(study.columns, columns, strict=True)}
+
+
+def _elastic(pair: Pair) -> str:
+    """Return what of a drive is not rigid."""
+    return "contacts" + (", bearings" if pair.supports else "") + (" and elastic bodies" if pair.bodies else "")
+
+
+def _of_play(pair: Pair, solved: Transmission, sampled: dict[str, Array] | None) -> list[Figure]:
+    """Backlash and transmission error, of the drive and of sampled ones."""
+    play = solve(DriveValue.as_stated(pair.replace(bodies=None)), [], _turn(pair), with_stiffness=False).backlash
+    error = solved.transmission_error[0]
+    values = {
+        "backlash": float(np.where(np.isnan(play), 0.0, play).max()),
+        "angular_transmission_error": float(error.max() - error.min()),
+    }
     rows = []
-    for key, shown in (("backlash", ("arcmin", edge.ARCMIN)), ("angular_transmission_error", ("arcmin", edge.ARCMIN))):
-        column = next(k for k, (name, _) in enumerate(study.columns) if name == key)
-        low, high = np.quantile(sampled[:, column], _ENDS).tolist()
-        taken = "; their errors take from the play as drawn" if key == "backlash" and tolerances is not None else ""
-        rows.append(Figure(key.replace("_", " "), "rad", (float(drawn[column]), low, high), basis + taken, shown))
+    for key, value in values.items():
+        ends, basis = (math.nan, math.nan), f"{_elastic(pair)} alone"
+        if sampled is not None:
+            low, high = np.quantile(sampled[key], _ENDS).tolist()
+            ends, basis = (low, high), f"{basis}; {_of_sampled(pair)}"
+            if key == "backlash" and not pair.errors:
+                basis += "; their errors take from the play as drawn"
+        rows.append(Figure(key.replace("_", " "), "rad", (value, *ends), basis, ("arcmin", edge.ARCMIN)))
     return rows
+
+
+def _of_sampled(pair: Pair) -> str:
+    """Return what the range of sampled drives is of."""
+    return "90 % of drives in the tolerances" + (", with rigid bodies" if pair.bodies else "")
 
 
 def _values(results: Sequence[float]) -> tuple[float, float, float]:
@@ -152,19 +174,30 @@ def _over_modulus(pair: Pair) -> list[Transmission]:
     return [solve(DriveValue(one, surface_of_pair(one)), load, _turn(pair), with_play=False) for one in drives]
 
 
-def _of_material(pair: Pair, solved: Sequence[Transmission], crank_speed: float) -> list[Figure]:
-    """Stiffness, largest pressure, and bearing life, over the range of the discs' modulus."""
+def _of_material(
+    pair: Pair, solved: Sequence[Transmission], sampled: dict[str, Array] | None, crank_speed: float
+) -> list[Figure]:
+    """Stiffness and bearing life, over the range of the discs' modulus; largest pressure, also of sampled drives."""
     stiffness = [float(each.torsional_stiffness[0].mean()) for each in solved]
-    pressure = [float(each.max_contact_pressure.max()) for each in solved]
+    pressure = _values([float(each.max_contact_pressure.max()) for each in solved])
     limit, name = pair.largest_pressure, pair.material.gear.name
     of = f"; range of the modulus of {name}" if name else ""
-    elastic = "contacts" + (", bearings" if pair.supports else "") + (" and elastic bodies" if pair.bodies else "")
-    permitted = "not judged: the material has no name" + of
+    permitted = "not judged: the material has no name"
     if limit is not None:
         permitted = f"permitted {limit.pressure * 1e-6:.0f} MPa {limit.basis}"
+    if sampled is None:
+        permitted += of
+    else:
+        column = sampled["max_contact_pressure"]
+        low, high = np.quantile(column, _ENDS).tolist()
+        pressure = (pressure[0], low, high)
+        permitted += f"; {_of_sampled(pair)}"
+        if limit is not None:
+            permitted += f"; {np.sum(column > limit.pressure)} of {column.size} drives exceed the permitted"
+    mean = f"mean slope at rated torque; {_elastic(pair)} alone{of}"
     rows = [
-        Figure("torsional stiffness", "N·m/rad", _values(stiffness), f"mean; {elastic} alone{of}"),
-        Figure("contact pressure", "Pa", _values(pressure), permitted, ("MPa", 1e-6)),
+        Figure("torsional stiffness", "N·m/rad", _values(stiffness), mean, ("N·m/arcmin", 1.0 / edge.ARCMIN)),
+        Figure("contact pressure", "Pa", pressure, permitted, ("MPa", 1e-6)),
     ]
     if pair.supports is None:
         return rows

@@ -481,7 +481,7 @@ def _wide_enough(
     progress("face width")
     (found,) = search(pair.replace(face_width=most), task, starts=0)
     needed = found.pair.face_width
-    why = f"for {pressure * 1e-6:.0f} MPa at rated torque" if needed > 1.001 * least else "the least by rule"
+    why = f"for {pressure * 1e-6:.0f} MPa at rated torque as drawn" if needed > 1.001 * least else "the least by rule"
     return found.pair.replace(face_width=min(_half_mm(needed), round(most, 6))), why
 
 
