@@ -103,10 +103,14 @@ def read_study(
 
 
 def notes_of(study: Study) -> list[str]:
-    """Return where drives within the tolerances lie outside what the model is made for, one sentence each."""
+    """Return what of the pair is no part of a study, and where its drives lie outside of the model, a sentence each."""
     stated = (getattr(study.tolerances, f"misalignment_{plane}", None) for plane in ("xz", "yz"))
     tilt = math.hypot(*(one.tolerance for one in stated if one is not None))
+    left_out = (
+        "The stated errors of the drive are no part of the study: its drives have those within the tolerances alone."
+    )
     return [
+        *([left_out] if study.pair.errors else []),
         *tilt_notes(study.drive, tilt, "The tolerances permit a gear's axis that is tilted by"),
         *step_notes(study.pair.pins, study.angles, study.turns),
     ]
