@@ -19,7 +19,9 @@ def new(
     torque: Annotated[float, commands.quantity_option("N*m", "Rated torque at the output.")],
     material: Annotated[str, commands.choice_option(MATERIALS, "Material of the discs.")],
     process: Annotated[str, commands.choice_option(PROCESSES, "Process by which discs and ring are made.")],
-    pin_material: Annotated[str, commands.choice_option(MATERIALS, "Material of the pins.")] = "bearing steel",
+    pin_material: Annotated[
+        str | None, commands.choice_option(MATERIALS, "Material of the pins.", show_default="bearing steel")
+    ] = None,
     ring: Annotated[
         str,
         commands.choice_option(("pins", "conjugate"), "Pins that are dowels, or arcs in one piece with the ring."),

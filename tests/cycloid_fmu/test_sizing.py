@@ -323,6 +323,10 @@ def test_a_drive_with_elastic_bodies_is_sized_with_them():
         ({"life": -3600.0}, "life = -3600.0: it should be greater than 0."),
         ({"discs": 5}, "discs = 5: it should be less than or equal to 4."),
         (
+            {"ring": "conjugate", "pin_material": "bronze"},
+            'pin_material = "bronze": a conjugate ring has arcs of the discs\' material in place of pins.',
+        ),
+        (
             {"output": "ring", "bodies": True},
             "bodies needs bearings, which a drive with the ring as output does not have.",
         ),
