@@ -23,7 +23,7 @@ from cycloid_fmu.studies import tolerance
 from cycloid_fmu.studies.strength import Stress, strength
 from cycloid_fmu.supports.figures import bearing_loads
 from cycloid_fmu.surfaces.sampling import Tolerances
-from cycloid_fmu.surfaces.surface import surface_of_pair
+from cycloid_fmu.surfaces.surface import nominal_surface
 
 Array = NDArray[np.float64]
 _ANGLES = 90  # crank angles of every figure, at least
@@ -33,9 +33,13 @@ _UNKNOWN = (math.nan, math.nan, math.nan)
 _SLOW = 1.0  # rad/s of the crank: friction of a drive that turns slowly, without drags of speed
 
 
-def figures_head(pair: Pair) -> tuple[str, ...]:
+def _is_drawn(drive: DriveValue) -> bool:
+    return drive.surface == nominal_surface(drive.pair)
+
+
+def figures_head(drive: DriveValue) -> tuple[str, ...]:
     """Return the columns of `Figure.row`."""
-    return ("", "with its errors" if pair.errors else "as drawn", "range", "unit", "of")
+    return ("", "as drawn" if _is_drawn(drive) else "with its errors", "range", "unit", "of")
 
 
 NOT_COMPUTED = "Not computed: strength of crank, carrier, ring and housing, seals, wear, heat and noise."
@@ -76,21 +80,21 @@ class Figure(NamedTuple):
 
 
 def figures_of(
-    pair: Pair,
+    drive: DriveValue,
     tolerances: Tolerances | None = None,
     bodies: Bodies | None = None,
     progress: Callable[[str], None] = lambda step: None,
     crank_speed: float = CRANK_SPEED,
 ) -> tuple[list[Figure], list[Stress]]:
-    """Return the figures of a drive with its stated errors, at its rated torque, and its nominal stresses.
+    """Return the figures of a drive with its errors, at its rated torque, and its nominal stresses.
 
     Parameters
     ----------
-    pair
-        The drive; it must state its rated torque.
+    drive
+        The drive; its pair must state the rated torque.
     tolerances
         What its parts hold, for the range of backlash, transmission error and pressure; None without ranges. Sampled
-        drives have no stated errors.
+        drives have none of the drive's errors.
     bodies
         Dimensions of discs and pins, for masses and stresses; None for those of the pair.
     progress
@@ -98,17 +102,18 @@ def figures_of(
     crank_speed
         Of a bearing's life in hours, rad/s.
     """
+    pair = drive.pair
     bodies = bodies or pair.bodies
     progress("stiffness and pressure")
-    solved = _over_modulus(pair)
+    solved = _over_modulus(drive)
     progress("tolerances")
-    sampled = None if tolerances is None else _sampled(pair, tolerances)
-    figures = [*_of_play(pair, solved[0], sampled), *_of_material(pair, solved, sampled, crank_speed)]
+    sampled = None if tolerances is None else _sampled(drive, tolerances)
+    figures = [*_of_play(drive, solved[0], sampled), *_of_material(pair, solved, sampled, crank_speed)]
     if pair.losses is not None and pair.supports is not None:
         progress("losses")
-        figures += _of_friction(pair.replace(bodies=None))
+        figures += _of_friction(_with_pair(drive, pair.replace(bodies=None)))
     progress("strength")
-    stresses = strength(DriveValue(pair, surface_of_pair(pair)), solved[0], bodies)
+    stresses = strength(drive, solved[0], bodies)
     return figures + _of_mass(pair, bodies), stresses
 
 
@@ -116,11 +121,16 @@ def _turn(pair: Pair) -> Array:
     return np.linspace(0.0, 2.0 * np.pi, out_of_step(pair.pins, _ANGLES), endpoint=False)
 
 
-def _sampled(pair: Pair, tolerances: Tolerances) -> dict[str, Array]:
+def _with_pair(drive: DriveValue, pair: Pair) -> DriveValue:
+    return DriveValue(pair, drive.surface, drive.first_stage)
+
+
+def _sampled(drive: DriveValue, tolerances: Tolerances) -> dict[str, Array]:
     """Return the figures of sampled drives with rigid bodies at rated torque, each of shape (drives,)."""
     without = dict.fromkeys(("bodies", "losses", "thermal"))
-    torque, turn = (pair.rated_load(),), _turn(pair)
-    study = tolerance.Study(pair.nominal.replace(**without), tolerances, _DRIVES, 1, torque, angles=turn.size)
+    pair = drive.pair.nominal.replace(**without)
+    torque, count = (pair.rated_load(),), _turn(pair).size
+    study = tolerance.Study(pair, tolerances, _DRIVES, 1, torque, angles=count, first_stage=drive.first_stage)
     surfaces = [tolerance.surface_of(study, point) for point in tolerance.points(study)]
     columns = tolerance.exact_figures(study, surfaces).T
     return {name: column for (name, _), column in zip(study.columns, columns, strict=True)}
@@ -131,9 +141,10 @@ def _elastic(pair: Pair) -> str:
     return "contacts" + (", bearings" if pair.supports else "") + (" and elastic bodies" if pair.bodies else "")
 
 
-def _of_play(pair: Pair, solved: Transmission, sampled: dict[str, Array] | None) -> list[Figure]:
+def _of_play(drive: DriveValue, solved: Transmission, sampled: dict[str, Array] | None) -> list[Figure]:
     """Backlash and transmission error, of the drive and of sampled ones."""
-    play = solve(DriveValue.as_stated(pair.replace(bodies=None)), [], _turn(pair), with_stiffness=False).backlash
+    pair = drive.pair
+    play = solve(_with_pair(drive, pair.replace(bodies=None)), [], _turn(pair), with_stiffness=False).backlash
     error = solved.transmission_error[0]
     values = {
         "backlash": float(np.where(np.isnan(play), 0.0, play).max()),
@@ -145,7 +156,7 @@ def _of_play(pair: Pair, solved: Transmission, sampled: dict[str, Array] | None)
         if sampled is not None:
             low, high = np.quantile(sampled[key], _ENDS).tolist()
             ends, basis = (low, high), f"{basis}; {_of_sampled(pair)}"
-            if key == "backlash" and not pair.errors:
+            if key == "backlash" and _is_drawn(drive):
                 basis += "; their errors take from the play as drawn"
         rows.append(Figure(key.replace("_", " "), "rad", (value, *ends), basis, ("arcmin", edge.ARCMIN)))
     return rows
@@ -167,11 +178,12 @@ def _with_modulus(pair: Pair, modulus: float) -> Pair:
     return pair.replace(material=pair.material.replace(gear=gear))
 
 
-def _over_modulus(pair: Pair) -> list[Transmission]:
-    """Return the drive as drawn at its rated torque, and with the ends of the range of its discs' modulus."""
+def _over_modulus(drive: DriveValue) -> list[Transmission]:
+    """Return the drive at its rated torque, and with the ends of the range of its discs' modulus."""
+    pair = drive.pair
     value, load = pair.material.gear.value, np.array([pair.rated_load()])
-    drives = [pair, *(_with_modulus(pair, modulus) for modulus in (value.youngs_modulus if value else ()))]
-    return [solve(DriveValue(one, surface_of_pair(one)), load, _turn(pair), with_play=False) for one in drives]
+    pairs = [pair, *(_with_modulus(pair, modulus) for modulus in (value.youngs_modulus if value else ()))]
+    return [solve(_with_pair(drive, each), load, _turn(pair), with_play=False) for each in pairs]
 
 
 def _of_material(
@@ -212,10 +224,9 @@ def _of_material(
     return [*rows, Figure("bearing life", "1", (lives[shortest], math.nan, math.nan), basis, million)]
 
 
-def _of_friction(pair: Pair) -> list[Figure]:
+def _of_friction(drive: DriveValue) -> list[Figure]:
     """Efficiency, starting and back-driving torque, over the range of the friction coefficients."""
-    value = DriveValue(pair, surface_of_pair(pair))
-    found = friction.figures(value, [pair.rated_load()], _turn(pair), _SLOW)
+    found = friction.figures(drive, [drive.pair.rated_load()], _turn(drive.pair), _SLOW)
     of = "range of the friction in the table"
 
     def ends(get: Callable[[Any], float]) -> tuple[float, float, float]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -31,6 +32,7 @@ from cycloid_fmu.studies.tolerance import (
     yields,
 )
 from cycloid_fmu.surfaces.sampling import read_tolerances
+from cycloid_fmu.surfaces.surface import nominal_surface
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,6 +73,8 @@ def read_study(
 ) -> Study:
     """Return the study of a pair file and a tolerance file, checked.
 
+    Stated errors of the drive are no part of it, which an `edge.InputWarning` says.
+
     Parameters
     ----------
     torque
@@ -86,7 +90,10 @@ def read_study(
         If a file can't be read, there is neither a torque nor a rated torque, both files state limits, or the study is
         one that `check_study` refuses.
     """
-    (pair, _, first_stage), tolerances = parts_of_file(pair_file), read_tolerances(tolerances_file)
+    (pair, surface, first_stage), tolerances = parts_of_file(pair_file), read_tolerances(tolerances_file)
+    if surface != nominal_surface(pair):
+        left_out = "its errors are no part of the study, whose drives have those within the tolerances alone."
+        warnings.warn(f"{pair_file}: {left_out}", edge.InputWarning, stacklevel=2)
     if not torque:
         rated = pair.rated_load(str(pair_file))
         torque = (rated, -rated)
@@ -103,14 +110,10 @@ def read_study(
 
 
 def notes_of(study: Study) -> list[str]:
-    """Return what of the pair is no part of a study, and where its drives lie outside of the model, a sentence each."""
+    """Return where drives within the tolerances lie outside what the model is made for, one sentence each."""
     stated = (getattr(study.tolerances, f"misalignment_{plane}", None) for plane in ("xz", "yz"))
     tilt = math.hypot(*(one.tolerance for one in stated if one is not None))
-    left_out = (
-        "The stated errors of the drive are no part of the study: its drives have those within the tolerances alone."
-    )
     return [
-        *([left_out] if study.pair.errors else []),
         *tilt_notes(study.drive, tilt, "The tolerances permit a gear's axis that is tilted by"),
         *step_notes(study.pair.pins, study.angles, study.turns),
     ]

@@ -137,7 +137,7 @@ def test_mass_of_a_disc_is_that_of_points_inside_it(sized):
 def test_ranges_are_those_of_a_tolerance_study(sized):
     """Errors leave the load to fewer pins: nearly every drive presses harder than the one as drawn."""
     pair, tolerances = sized.pair, parse_tolerances(sized.tolerances, "sized")
-    figures = {row.name: row for row in figures_of(pair, tolerances, sized.bodies)[0]}
+    figures = {row.name: row for row in figures_of(DriveValue.as_stated(pair), tolerances, sized.bodies)[0]}
     study = tolerance.Study(pair, tolerances, 64, 1, (pair.rated_torque,), angles=91)
     found = tolerance.run(study)
     for name in ("backlash", "angular transmission error"):
@@ -153,7 +153,7 @@ def test_ranges_are_those_of_a_tolerance_study(sized):
 
 def test_every_figure_with_a_range_has_it_around_the_drawn_value(sized):
     tolerances = parse_tolerances(sized.tolerances, "sized")
-    figures, stresses = figures_of(sized.pair, tolerances, sized.bodies)
+    figures, stresses = figures_of(DriveValue.as_stated(sized.pair), tolerances, sized.bodies)
     rows = {row.name: row.values for row in figures}
     for name in ("mass of discs and pins", "inertia of the discs at the input", "efficiency"):
         drawn, low, high = rows[name]
