@@ -108,13 +108,13 @@ def figures_of(
     solved = _over_modulus(drive)
     progress("tolerances")
     sampled = None if tolerances is None else _sampled(drive, tolerances)
-    figures = [*_of_play(drive, solved[0], sampled), *_of_material(pair, solved, sampled, crank_speed)]
+    figures = [*_of_play(drive, solved[0], sampled), *_of_material(drive, solved, sampled, crank_speed)]
     if pair.losses is not None and pair.supports is not None:
         progress("losses")
         figures += _of_friction(_with_pair(drive, pair.replace(bodies=None)))
     progress("strength")
     stresses = strength(drive, solved[0], bodies)
-    return figures + _of_mass(pair, bodies), stresses
+    return figures + _of_mass(drive, bodies), stresses
 
 
 def _turn(pair: Pair) -> Array:
@@ -155,16 +155,17 @@ def _of_play(drive: DriveValue, solved: Transmission, sampled: dict[str, Array] 
         ends, basis = (math.nan, math.nan), f"{_elastic(pair)} alone"
         if sampled is not None:
             low, high = np.quantile(sampled[key], _ENDS).tolist()
-            ends, basis = (low, high), f"{basis}; {_of_sampled(pair)}"
+            ends, basis = (low, high), f"{basis}; {_of_sampled(drive)}"
             if key == "backlash" and _is_drawn(drive):
                 basis += "; their errors take from the play as drawn"
         rows.append(Figure(key.replace("_", " "), "rad", (value, *ends), basis, ("arcmin", edge.ARCMIN)))
     return rows
 
 
-def _of_sampled(pair: Pair) -> str:
+def _of_sampled(drive: DriveValue) -> str:
     """Return what the range of sampled drives is of."""
-    return "90 % of drives in the tolerances" + (", with rigid bodies" if pair.bodies else "")
+    without = "" if _is_drawn(drive) else " without these errors"
+    return f"90 % of drives in the tolerances{without}{', with rigid bodies' if drive.pair.bodies else ''}"
 
 
 def _values(results: Sequence[float]) -> tuple[float, float, float]:
@@ -187,9 +188,10 @@ def _over_modulus(drive: DriveValue) -> list[Transmission]:
 
 
 def _of_material(
-    pair: Pair, solved: Sequence[Transmission], sampled: dict[str, Array] | None, crank_speed: float
+    drive: DriveValue, solved: Sequence[Transmission], sampled: dict[str, Array] | None, crank_speed: float
 ) -> list[Figure]:
     """Stiffness and bearing life, over the range of the discs' modulus; largest pressure, also of sampled drives."""
+    pair = drive.pair
     stiffness = [float(each.torsional_stiffness[0].mean()) for each in solved]
     pressure = _values([float(each.max_contact_pressure.max()) for each in solved])
     limit, name = pair.largest_pressure, pair.material.gear.name
@@ -203,7 +205,7 @@ def _of_material(
         column = sampled["max_contact_pressure"]
         low, high = np.quantile(column, _ENDS).tolist()
         pressure = (pressure[0], low, high)
-        permitted += f"; {_of_sampled(pair)}"
+        permitted += f"; {_of_sampled(drive)}"
         if limit is not None:
             permitted += f"; {np.sum(column > limit.pressure)} of {column.size} drives exceed the permitted"
     mean = f"mean slope at rated torque; {_elastic(pair)} alone{of}"
@@ -273,8 +275,9 @@ def _area(curve: NDArray[np.complex128]) -> tuple[float, float]:
     return 0.5 * float(cross.sum()), float((cross * squares).sum()) / 12.0
 
 
-def _of_mass(pair: Pair, bodies: Bodies | None) -> list[Figure]:
-    """Mass of discs and pins, inertia of the orbiting discs, unbalance."""
+def _of_mass(drive: DriveValue, bodies: Bodies | None) -> list[Figure]:
+    """Mass of discs and pins, inertia of the orbiting discs where the crank is the input, unbalance."""
+    pair = drive.pair
     mass, inertia = disc_mass(pair, bodies)
     gear, pin = pair.material.gear, pair.material.pin
     if gear.value is None or pin.value is None or math.isnan(mass):
@@ -294,9 +297,12 @@ def _of_mass(pair: Pair, bodies: Bodies | None) -> list[Figure]:
     of = f"range of the density of {gear.name}"
     ends = (1.0, 1.0 - spread, 1.0 + spread)
     heavy, lazy = (_values([discs * share + pins for share in ends]), _values([rotor * share for share in ends]))
+    at_input = f"without crank and motor; {of}"
+    if drive.first_stage is not None:
+        lazy, at_input = _UNKNOWN, "not computed behind a first stage"
     how = "of one disc" if pair.discs == 1 else "discs opposite each other; a couple remains"
     return [
         Figure("mass of discs and pins", "kg", heavy, f"without ring, crank and carrier; {of}"),
-        Figure("inertia of the discs at the input", "kg·m²", lazy, f"without crank and motor; {of}"),
+        Figure("inertia of the discs at the input", "kg·m²", lazy, at_input),
         Figure("unbalance", "kg·m", (unbalance, unbalance, unbalance), how, ("g·mm", 1e6)),
     ]

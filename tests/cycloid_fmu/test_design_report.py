@@ -12,6 +12,7 @@ from cycloid_fmu.analysis import solve
 from cycloid_fmu.draw.design_report import comments_of, report_of, write_design_report
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.studies.sized_figures import figures_head, figures_of
+from cycloid_fmu.surfaces.sampling import read_tolerances
 from cycloid_fmu.surfaces.surface import surface_of_pair
 
 PAIR = make_pair(rated_torque="181 N*m").replace(
@@ -46,6 +47,15 @@ def test_figures_are_those_of_the_analysis(name):
     assert figures["contact pressure"] == pytest.approx(solved.max_contact_pressure.max(), rel=1e-6)
     assert figures_head(drive)[1] == "with its errors"
     assert figures_head(cy.Drive(drive.pair.nominal))[1] == "as drawn"
+
+
+def test_a_range_of_drives_without_the_drive_s_errors_says_so():
+    tolerances = read_tolerances(EXAMPLES / "tolerances-of-places.toml")
+    drive = cy.Drive(PAIR.replace(errors={"pin_radius": "-1 um"}))
+    for each, said in ((drive, True), (cy.Drive(PAIR), False)):
+        rows = {row.name: row.basis for row in figures_of(each, tolerances)[0]}
+        for name in ("backlash", "contact pressure"):
+            assert ("without these errors" in rows[name]) == said
 
 
 def test_comments_at_the_head_are_what_is_assumed():
