@@ -300,7 +300,7 @@ def _of_mass(drive: DriveValue, bodies: Bodies | None) -> list[Figure]:
     at_input = f"without crank and motor; {of}"
     if drive.first_stage is not None:
         lazy, at_input = _UNKNOWN, "not computed behind a first stage"
-    how = "of one disc" if pair.discs == 1 else "discs opposite each other; a couple remains"
+    how = "of one disc" if pair.discs == 1 else "discs evenly around the crank; a couple remains"
     return [
         Figure("mass of discs and pins", "kg", heavy, f"without ring, crank and carrier; {of}"),
         Figure("inertia of the discs at the input", "kg·m²", lazy, at_input),

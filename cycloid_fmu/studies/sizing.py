@@ -392,7 +392,7 @@ def _reasons(wish: Wish, pair: Pair, binding: str) -> dict[str, str]:
         "pair.eccentricity": f"shortening coefficient K = {pair.shortening:.2f}, aimed at {_SHORTENING:g}",
         "pair.face_width": binding,
         "pair.rated_torque": "the wish",
-        "pair.discs": "opposite each other, so balanced" if wish.discs > 1 else "unbalanced: one disc",
+        "pair.discs": "evenly around the crank, so balanced" if wish.discs > 1 else "unbalanced: one disc",
         "modification.isometric": f"with offset: least backlash at which {_YIELD:.0%} of drives by {wish.process} turn",
         "material.gear": MATERIALS[wish.material].source.split(";")[0],
         "material.pin": MATERIALS[wish.material_of_pins].source.split(";")[0],

@@ -237,9 +237,10 @@ def test_files_have_numbers_of_a_drawing_with_any_bearing():
 
 @pytest.mark.slow(2)
 def test_the_ring_as_output_has_one_tooth_less_than_the_ratio():
-    drive = size(Wish(**{**CNC, "output": "ring"}))
+    drive = size(Wish(**{**CNC, "output": "ring", "discs": 3}))
     assert (drive.pair.gear_teeth, drive.pair.ratio, drive.pair.supports) == (14, 15.0, None)
     assert any("ring" in note for note in drive.notes)
+    assert "discs = 3  # evenly around the crank, so balanced" in drive.text
 
 
 def offers(refused):
