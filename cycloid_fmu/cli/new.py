@@ -19,7 +19,9 @@ def new(
     torque: Annotated[float, commands.quantity_option("N*m", "Rated torque at the output.")],
     material: Annotated[str, commands.choice_option(MATERIALS, "Material of the discs.")],
     process: Annotated[str, commands.choice_option(PROCESSES, "Process by which discs and ring are made.")],
-    pin_material: Annotated[str, commands.choice_option(MATERIALS, "Material of the pins.")] = "bearing steel",
+    pin_material: Annotated[
+        str | None, commands.choice_option(MATERIALS, "Material of the pins.", show_default="bearing steel")
+    ] = None,
     ring: Annotated[
         str,
         commands.choice_option(("pins", "conjugate"), "Pins that are dowels, or arcs in one piece with the ring."),
@@ -68,7 +70,7 @@ def new(
     """
     from cycloid_fmu.draw.design_report import report_of, write_design_report
     from cycloid_fmu.drive import Drive
-    from cycloid_fmu.studies.sized_figures import FIGURES_HEAD, NOT_COMPUTED, figures_of
+    from cycloid_fmu.studies.sized_figures import NOT_COMPUTED, figures_head, figures_of
     from cycloid_fmu.studies.sizing import SIZED_FILES, Wish, size, write_sizing
     from cycloid_fmu.studies.strength import HEAD
     from cycloid_fmu.surfaces.sampling import parse_tolerances
@@ -89,23 +91,23 @@ def new(
         bodies=bodies,
     )
     with commands.status() as progress:
-        drive = size(wish, progress)
-        tolerances = parse_tolerances(drive.tolerances, "tolerances of the process")
-        figures, stresses = figures_of(drive.pair, tolerances, drive.bodies, progress, wish.crank_speed)
+        sized = size(wish, progress)
+        tolerances, drive = parse_tolerances(sized.tolerances, "tolerances of the process"), Drive(sized.pair)
+        figures, stresses = figures_of(drive, tolerances, sized.bodies, progress, wish.crank_speed)
     numbers = {"figures": [each.numbers() for each in figures], "stresses": [each.numbers() for each in stresses]}
     if folder is not None:
-        write_sizing(drive, folder, numbers)
-        motion = Drive(drive.pair).motion(drive.pair.rated_torque, 0.0)
-        report = report_of(drive.pair, motion, "drive.toml", drive.text, figures, stresses)
+        write_sizing(sized, folder, numbers)
+        motion = drive.motion(sized.pair.rated_torque, 0.0)
+        report = report_of(drive, motion, "drive.toml", sized.text, figures, stresses)
         write_design_report(report, folder / "report.html")
     if as_json:
-        commands.print_json({"pair": drive.text, "tolerances": drive.tolerances, **numbers})
+        commands.print_json({"pair": sized.text, "tolerances": sized.tolerances, **numbers})
         return
     if folder is None:
-        typer.echo(drive.text)
-    commands.print_table("Figures", FIGURES_HEAD, [each.row() for each in figures])
+        typer.echo(sized.text)
+    commands.print_table("Figures", figures_head(drive), [each.row() for each in figures])
     commands.print_table("Nominal stresses at rated torque", HEAD, [each.row() for each in stresses])
-    for note in drive.notes:
+    for note in sized.notes:
         typer.echo(note)
     typer.echo(NOT_COMPUTED)
     if folder is not None:

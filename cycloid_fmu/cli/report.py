@@ -25,7 +25,7 @@ def report(
         ),
     ] = None,
 ) -> None:
-    """Write a report of a drive as drawn, HTML or PDF: drawing, figures with ranges, strength, verdicts, assumptions.
+    """Write a report of a drive, HTML or PDF: drawing, figures with ranges, strength, verdicts, assumptions.
 
     Example: [cyan]cycloid-fmu report joint/drive.toml --tolerances joint/tolerances.toml -o report.pdf[/]
     """
@@ -44,7 +44,7 @@ def report(
     tolerances = None if tolerances_file is None else read_tolerances(tolerances_file)
     judged = None
     with commands.status() as progress:
-        figures, stresses = figures_of(pair, tolerances, None, progress)
+        figures, stresses = figures_of(drive, tolerances, None, progress)
         if asked is not None:
             progress("limits")
             verdicts.check(asked, pair, str(limits_file), str(pair_file))
@@ -52,7 +52,7 @@ def report(
             judged = verdicts.judge_drive(drive, asked, None, turn, workers=os.cpu_count() or 1)
         progress("drawing")
         motion = drive.motion(pair.rated_torque, 0.0)
-        report_ = design_report.report_of(pair, motion, pair_file.name, text, figures, stresses, judged)
+        report_ = design_report.report_of(drive, motion, pair_file.name, text, figures, stresses, judged)
     design_report.write_design_report(report_, output)
     typer.echo(f"{output}: {len(figures)} figures, {len(stresses)} stresses")
     if judged is not None:

@@ -23,8 +23,8 @@ def simulate(
     turns: Annotated[
         float | None, typer.Option(help="Crank turns; a negative number turns backwards.", show_default="1")
     ] = None,
-    speed: Annotated[
-        float | None, commands.quantity_option("rad/s", "Crank speed.", "--crank-speed", show_default="600 rpm")
+    crank_speed: Annotated[
+        float | None, commands.quantity_option("rad/s", "Crank speed.", show_default="600 rpm")
     ] = None,
     samples: Annotated[int | None, typer.Option(min=2, help="Samples per crank turn.", show_default="360")] = None,
     motion: MotionFile = None,
@@ -42,15 +42,12 @@ def simulate(
 
     if torque is not None and motion is not None:
         raise edge.InputError("--torque and --input both state the load; give one of them.")
-    stated = {"turns": turns, "speed": speed, "samples": samples}
+    stated = {"turns": turns, "crank_speed": crank_speed, "samples": samples}
     if motion is not None and (unused := [name for name, value in stated.items() if value is not None]):
         raise edge.ArgumentError(unused[0], "is not for --input, which has the whole motion")
-    turns, speed, samples = 1.0 if turns is None else turns, _SPEED if speed is None else speed, samples or 360
+    turns, samples = 1.0 if turns is None else turns, samples or 360
+    speed = _SPEED if crank_speed is None else crank_speed
     if motion is None:
-        if speed <= 0.0:
-            raise edge.ArgumentError("speed", "it must be above zero; turn backwards with turns below zero", speed)
-        if turns == 0.0:
-            raise edge.ArgumentError("turns", "it must not be zero", turns)
         torque = run.rated_load(fmu_file) if torque is None else torque
         results = run.turn_crank(fmu_file, torque, turns, speed, samples)
     else:

@@ -180,6 +180,7 @@ def _balance(
     """Solve share (torque - M(x)) + hold (flange - x) = 0 by Newton's method inside a bracket."""
     low, high, placed, last = -math.inf, math.inf, math.inf, x
     stiffness, near = 0.0, by_rates(problem.circle_radius)
+    beyond = 1e-6  # rad past a first touch; twice as far each time, as a contact at a pin's crest only loses torque
     for _ in range(100):
         if abs(x - placed) > near or problem.deviations is not None:
             place_contacts(problem, crank_angle, x, contacts, cold, CLEAR, BOUNDED)
@@ -197,7 +198,8 @@ def _balance(
         # A load against the torque is on the wrong flanks, however little is short of a tiny torque.
         if slope <= 0.0 or (hold == 0.0 and balance * torque < 0.0 and abs(step) < LINEAR_STEP):
             direction = math.copysign(1.0, short)
-            step = direction * (max(to_touch(contacts, crank_angle, x, direction), 0.0) + 1e-6)
+            step = direction * (max(to_touch(contacts, crank_angle, x, direction), 0.0) + beyond)
+            beyond *= 2.0
         step = min(max(step, -1e-3), 1e-3)
         if abs(step) < LINEAR_STEP:
             _move(problem.teeth, problem.ring, step, x + step, contacts)

@@ -1,4 +1,4 @@
-"""The report of a drive as drawn: drawing, figures, stresses, verdicts, and what is assumed or not judged."""
+"""The report of a drive: drawing, figures, stresses, verdicts, and what is assumed or not judged."""
 
 from __future__ import annotations
 
@@ -24,9 +24,10 @@ from cycloid_fmu.draw.pages import (
     made_now,
     text_pages,
 )
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.studies import limits
-from cycloid_fmu.studies.sized_figures import FIGURES_HEAD, NOT_COMPUTED, Figure
+from cycloid_fmu.studies.sized_figures import NOT_COMPUTED, Figure, figures_head
 from cycloid_fmu.studies.strength import HEAD as STRESS_HEAD
 from cycloid_fmu.studies.strength import Stress
 
@@ -70,16 +71,17 @@ def comments_of(text: str) -> list[str]:
     return found
 
 
-def facts_of(pair: Pair) -> str:
+def facts_of(drive: DriveValue) -> str:
     """Return the line below a report's heading."""
+    pair = drive.pair
     discs = f"{pair.discs} disc{'s' * (pair.discs > 1)}"
     torque = f"rated torque {pair.rated_load():g} N·m"
     outside = f"pin circle {2e3 * pair.pin_circle_radius:g} mm, pins {2e3 * pair.pin_radius:g} mm"
-    return f"ratio {pair.ratio:g}, {discs} {pair.face_width * 1e3:g} mm wide, {outside}, {torque}; {made_now()}"
+    return f"ratio {drive.ratio:g}, {discs} {pair.face_width * 1e3:g} mm wide, {outside}, {torque}; {made_now()}"
 
 
 def report_of(
-    pair: Pair,
+    drive: DriveValue,
     motion: Motion,
     source: str,
     text: str,
@@ -91,8 +93,8 @@ def report_of(
 
     Parameters
     ----------
-    pair, motion
-        The drive's pair, and the drive at its rated torque and a crank angle of 0, of `Drive.motion`.
+    drive, motion
+        The drive, and how it is at its rated torque and a crank angle of 0, of `Drive.motion`.
     source, text
         Name and text of its pair file; comments at its head are what is assumed.
     figures, stresses
@@ -100,8 +102,9 @@ def report_of(
     judged
         Verdicts on limits, if there are any.
     """
+    pair = drive.pair
     tables = [
-        _table("Figures at rated torque", FIGURES_HEAD, [each.row() for each in figures]),
+        _table("Figures at rated torque", figures_head(drive), [each.row() for each in figures]),
         _table("Nominal stresses", STRESS_HEAD, [each.row() for each in stresses]),
     ]
     if judged is not None:
@@ -117,7 +120,7 @@ def report_of(
     if pair.bodies is None and not any("rigid" in line for line in assumed):
         assumed.append("Bodies are rigid, as the file states no [bodies]; the real drive is softer.")
     lists = [Sentences("Assumed", assumed, "assumed"), Sentences("Not judged", [*missing, NOT_COMPUTED], "not-judged")]
-    return DesignReport("Design report", f"{source}: {facts_of(pair)}", motion, [*tables, *lists], text)
+    return DesignReport("Design report", f"{source}: {facts_of(drive)}", motion, [*tables, *lists], text)
 
 
 def _table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:

@@ -28,6 +28,7 @@ OUTPUTS = (
     "torsional_stiffness",
     "max_contact_pressure",
 )
+_MOST_SAMPLES, _LEAST_TURNS = 1e7, 1e-6  # of a simulation at constant speed
 # Names of the flanges' variables in bench recordings.
 RECORDED = {"input_angle": "flange_a.phi", "output_angle": "flange_b.phi", "torque": "flange_b.tau"}
 
@@ -330,7 +331,20 @@ def turn_crank(
     -------
     results
         {name: shape (samples,)}, SI: "time", the inputs and the outputs.
+
+    Raises
+    ------
+    edge.ArgumentError
+        If turns or speed are out of range.
     """
+    if not 0.0 < crank_speed < math.inf:
+        raise edge.ArgumentError(
+            "crank_speed", "it must be above zero; turn backwards with turns below zero", crank_speed
+        )
+    most = _MOST_SAMPLES / samples
+    if not _LEAST_TURNS <= abs(turns) <= most:
+        said = f"it must be from {_LEAST_TURNS:g} to {most:.6g}, or as far below zero, with {samples} samples a turn"
+        raise edge.ArgumentError("turns", said, turns)
     count = max(2, round(abs(turns) * samples) + 1)
     angle = np.linspace(0.0, 2.0 * math.pi * turns, count)
     time = np.abs(angle) / crank_speed

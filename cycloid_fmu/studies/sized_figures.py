@@ -23,7 +23,7 @@ from cycloid_fmu.studies import tolerance
 from cycloid_fmu.studies.strength import Stress, strength
 from cycloid_fmu.supports.figures import bearing_loads
 from cycloid_fmu.surfaces.sampling import Tolerances
-from cycloid_fmu.surfaces.surface import surface_of_pair
+from cycloid_fmu.surfaces.surface import nominal_surface
 
 Array = NDArray[np.float64]
 _ANGLES = 90  # crank angles of every figure, at least
@@ -33,8 +33,15 @@ _UNKNOWN = (math.nan, math.nan, math.nan)
 _SLOW = 1.0  # rad/s of the crank: friction of a drive that turns slowly, without drags of speed
 
 
-FIGURES_HEAD = ("", "as drawn", "range", "unit", "of")
-"""Columns of `Figure.row`."""
+def _is_drawn(drive: DriveValue) -> bool:
+    return drive.surface == nominal_surface(drive.pair)
+
+
+def figures_head(drive: DriveValue) -> tuple[str, ...]:
+    """Return the columns of `Figure.row`."""
+    return ("", "as drawn" if _is_drawn(drive) else "with its errors", "range", "unit", "of")
+
+
 NOT_COMPUTED = "Not computed: strength of crank, carrier, ring and housing, seals, wear, heat and noise."
 
 
@@ -46,7 +53,7 @@ class Figure(NamedTuple):
     name, unit
         Its name and SI unit.
     values
-        As drawn, and the ends of its range.
+        Of the drive as stated, and the ends of its range.
     basis
         What the range is of, or why the value is not known.
     shown
@@ -73,20 +80,21 @@ class Figure(NamedTuple):
 
 
 def figures_of(
-    pair: Pair,
+    drive: DriveValue,
     tolerances: Tolerances | None = None,
     bodies: Bodies | None = None,
     progress: Callable[[str], None] = lambda step: None,
     crank_speed: float = CRANK_SPEED,
 ) -> tuple[list[Figure], list[Stress]]:
-    """Return the figures of a drive as drawn, at its rated torque, and its nominal stresses.
+    """Return the figures of a drive with its errors, at its rated torque, and its nominal stresses.
 
     Parameters
     ----------
-    pair
-        The drive; it must state its rated torque.
+    drive
+        The drive; its pair must state the rated torque.
     tolerances
-        What its parts hold, for the range of backlash and transmission error; None without ranges.
+        What its parts hold, for the range of backlash, transmission error and pressure; None without ranges. Sampled
+        drives have none of the drive's errors.
     bodies
         Dimensions of discs and pins, for masses and stresses; None for those of the pair.
     progress
@@ -94,44 +102,70 @@ def figures_of(
     crank_speed
         Of a bearing's life in hours, rad/s.
     """
+    pair = drive.pair
     bodies = bodies or pair.bodies
-    progress("tolerances")
-    found = _of_tolerances(pair, tolerances)
     progress("stiffness and pressure")
-    solved = _over_modulus(pair)
-    found += _of_material(pair, solved, crank_speed)
+    solved = _over_modulus(drive)
+    progress("tolerances")
+    sampled = None if tolerances is None else _sampled(drive, tolerances)
+    figures = [*_of_play(drive, solved[0], sampled), *_of_material(drive, solved, sampled, crank_speed)]
     if pair.losses is not None and pair.supports is not None:
         progress("losses")
-        found += _of_friction(pair.replace(bodies=None))
+        figures += _of_friction(_with_pair(drive, pair.replace(bodies=None)))
     progress("strength")
-    stresses = strength(DriveValue(pair, surface_of_pair(pair)), solved[0], bodies)
-    return found + _of_mass(pair, bodies), stresses
+    stresses = strength(drive, solved[0], bodies)
+    return figures + _of_mass(drive, bodies), stresses
 
 
 def _turn(pair: Pair) -> Array:
     return np.linspace(0.0, 2.0 * np.pi, out_of_step(pair.pins, _ANGLES), endpoint=False)
 
 
-def _of_tolerances(pair: Pair, tolerances: Tolerances | None) -> list[Figure]:
-    """Backlash and transmission error, as drawn and of sampled drives."""
-    torque = (pair.rated_load(),)
-    bare = dict.fromkeys(("supports", "bodies", "losses", "thermal", "temperature", "rated_torque"))
-    pair = pair.nominal.replace(**bare)
-    samples = 1 if tolerances is None else _DRIVES
-    stated = Tolerances() if tolerances is None else tolerances
-    study = tolerance.Study(pair, stated, samples=samples, seed=1, torque=torque, angles=_turn(pair).size)
-    (drawn,) = tolerance.exact_figures(study, [surface_of_pair(pair)])
-    sampled, basis = np.full((1, drawn.size), np.nan), "the mesh alone"
-    if tolerances is not None:
-        surfaces = [tolerance.surface_of(study, point) for point in tolerance.points(study)]
-        sampled, basis = tolerance.exact_figures(study, surfaces), "the mesh alone; 90 % of drives in the tolerances"
+def _with_pair(drive: DriveValue, pair: Pair) -> DriveValue:
+    return DriveValue(pair, drive.surface, drive.first_stage)
+
+
+def _sampled(drive: DriveValue, tolerances: Tolerances) -> dict[str, Array]:
+    """Return the figures of sampled drives with rigid bodies at rated torque, each of shape (drives,)."""
+    without = dict.fromkeys(("bodies", "losses", "thermal"))
+    pair = drive.pair.nominal.replace(**without)
+    torque, count = (pair.rated_load(),), _turn(pair).size
+    study = tolerance.Study(pair, tolerances, _DRIVES, 1, torque, angles=count, first_stage=drive.first_stage)
+    surfaces = [tolerance.surface_of(study, point) for point in tolerance.points(study)]
+    columns = tolerance.exact_figures(study, surfaces).T
+    return {name: column for (name, _), column in zip(study.columns, columns, strict=True)}
+
+
+def _elastic(pair: Pair) -> str:
+    """Return what of a drive is not rigid."""
+    return "contacts" + (", bearings" if pair.supports else "") + (" and elastic bodies" if pair.bodies else "")
+
+
+def _of_play(drive: DriveValue, solved: Transmission, sampled: dict[str, Array] | None) -> list[Figure]:
+    """Backlash and transmission error, of the drive and of sampled ones."""
+    pair = drive.pair
+    play = solve(_with_pair(drive, pair.replace(bodies=None)), [], _turn(pair), with_stiffness=False).backlash
+    error = solved.transmission_error[0]
+    values = {
+        "backlash": float(np.where(np.isnan(play), 0.0, play).max()),
+        "angular_transmission_error": float(error.max() - error.min()),
+    }
     rows = []
-    for key, shown in (("backlash", ("arcmin", edge.ARCMIN)), ("angular_transmission_error", ("arcmin", edge.ARCMIN))):
-        column = next(k for k, (name, _) in enumerate(study.columns) if name == key)
-        low, high = np.quantile(sampled[:, column], _ENDS).tolist()
-        taken = "; their errors take from the play as drawn" if key == "backlash" and tolerances is not None else ""
-        rows.append(Figure(key.replace("_", " "), "rad", (float(drawn[column]), low, high), basis + taken, shown))
+    for key, value in values.items():
+        ends, basis = (math.nan, math.nan), f"{_elastic(pair)} alone"
+        if sampled is not None:
+            low, high = np.quantile(sampled[key], _ENDS).tolist()
+            ends, basis = (low, high), f"{basis}; {_of_sampled(drive)}"
+            if key == "backlash" and _is_drawn(drive):
+                basis += "; their errors take from the play as drawn"
+        rows.append(Figure(key.replace("_", " "), "rad", (value, *ends), basis, ("arcmin", edge.ARCMIN)))
     return rows
+
+
+def _of_sampled(drive: DriveValue) -> str:
+    """Return what the range of sampled drives is of."""
+    without = "" if _is_drawn(drive) else " without these errors"
+    return f"90 % of drives in the tolerances{without}{', with rigid bodies' if drive.pair.bodies else ''}"
 
 
 def _values(results: Sequence[float]) -> tuple[float, float, float]:
@@ -145,26 +179,39 @@ def _with_modulus(pair: Pair, modulus: float) -> Pair:
     return pair.replace(material=pair.material.replace(gear=gear))
 
 
-def _over_modulus(pair: Pair) -> list[Transmission]:
-    """Return the drive as drawn at its rated torque, and with the ends of the range of its discs' modulus."""
+def _over_modulus(drive: DriveValue) -> list[Transmission]:
+    """Return the drive at its rated torque, and with the ends of the range of its discs' modulus."""
+    pair = drive.pair
     value, load = pair.material.gear.value, np.array([pair.rated_load()])
-    drives = [pair, *(_with_modulus(pair, modulus) for modulus in (value.youngs_modulus if value else ()))]
-    return [solve(DriveValue(one, surface_of_pair(one)), load, _turn(pair), with_play=False) for one in drives]
+    pairs = [pair, *(_with_modulus(pair, modulus) for modulus in (value.youngs_modulus if value else ()))]
+    return [solve(_with_pair(drive, each), load, _turn(pair), with_play=False) for each in pairs]
 
 
-def _of_material(pair: Pair, solved: Sequence[Transmission], crank_speed: float) -> list[Figure]:
-    """Stiffness, largest pressure, and bearing life, over the range of the discs' modulus."""
+def _of_material(
+    drive: DriveValue, solved: Sequence[Transmission], sampled: dict[str, Array] | None, crank_speed: float
+) -> list[Figure]:
+    """Stiffness and bearing life, over the range of the discs' modulus; largest pressure, also of sampled drives."""
+    pair = drive.pair
     stiffness = [float(each.torsional_stiffness[0].mean()) for each in solved]
-    pressure = [float(each.max_contact_pressure.max()) for each in solved]
+    pressure = _values([float(each.max_contact_pressure.max()) for each in solved])
     limit, name = pair.largest_pressure, pair.material.gear.name
     of = f"; range of the modulus of {name}" if name else ""
-    elastic = "contacts" + (", bearings" if pair.supports else "") + (" and elastic bodies" if pair.bodies else "")
-    permitted = "not judged: the material has no name" + of
+    permitted = "not judged: the material has no name"
     if limit is not None:
         permitted = f"permitted {limit.pressure * 1e-6:.0f} MPa {limit.basis}"
+    if sampled is None:
+        permitted += of
+    else:
+        column = sampled["max_contact_pressure"]
+        low, high = np.quantile(column, _ENDS).tolist()
+        pressure = (pressure[0], low, high)
+        permitted += f"; {_of_sampled(drive)}"
+        if limit is not None:
+            permitted += f"; {np.sum(column > limit.pressure)} of {column.size} drives exceed the permitted"
+    mean = f"mean slope at rated torque; {_elastic(pair)} alone{of}"
     rows = [
-        Figure("torsional stiffness", "N·m/rad", _values(stiffness), f"mean; {elastic} alone{of}"),
-        Figure("contact pressure", "Pa", _values(pressure), permitted, ("MPa", 1e-6)),
+        Figure("torsional stiffness", "N·m/rad", _values(stiffness), mean, ("N·m/arcmin", 1.0 / edge.ARCMIN)),
+        Figure("contact pressure", "Pa", pressure, permitted, ("MPa", 1e-6)),
     ]
     if pair.supports is None:
         return rows
@@ -179,10 +226,9 @@ def _of_material(pair: Pair, solved: Sequence[Transmission], crank_speed: float)
     return [*rows, Figure("bearing life", "1", (lives[shortest], math.nan, math.nan), basis, million)]
 
 
-def _of_friction(pair: Pair) -> list[Figure]:
+def _of_friction(drive: DriveValue) -> list[Figure]:
     """Efficiency, starting and back-driving torque, over the range of the friction coefficients."""
-    value = DriveValue(pair, surface_of_pair(pair))
-    found = friction.figures(value, [pair.rated_load()], _turn(pair), _SLOW)
+    found = friction.figures(drive, [drive.pair.rated_load()], _turn(drive.pair), _SLOW)
     of = "range of the friction in the table"
 
     def ends(get: Callable[[Any], float]) -> tuple[float, float, float]:
@@ -229,8 +275,9 @@ def _area(curve: NDArray[np.complex128]) -> tuple[float, float]:
     return 0.5 * float(cross.sum()), float((cross * squares).sum()) / 12.0
 
 
-def _of_mass(pair: Pair, bodies: Bodies | None) -> list[Figure]:
-    """Mass of discs and pins, inertia of the orbiting discs, unbalance."""
+def _of_mass(drive: DriveValue, bodies: Bodies | None) -> list[Figure]:
+    """Mass of discs and pins, inertia of the orbiting discs where the crank is the input, unbalance."""
+    pair = drive.pair
     mass, inertia = disc_mass(pair, bodies)
     gear, pin = pair.material.gear, pair.material.pin
     if gear.value is None or pin.value is None or math.isnan(mass):
@@ -250,9 +297,12 @@ def _of_mass(pair: Pair, bodies: Bodies | None) -> list[Figure]:
     of = f"range of the density of {gear.name}"
     ends = (1.0, 1.0 - spread, 1.0 + spread)
     heavy, lazy = (_values([discs * share + pins for share in ends]), _values([rotor * share for share in ends]))
-    how = "of one disc" if pair.discs == 1 else "discs opposite each other; a couple remains"
+    at_input = f"without crank and motor; {of}"
+    if drive.first_stage is not None:
+        lazy, at_input = _UNKNOWN, "not computed behind a first stage"
+    how = "of one disc" if pair.discs == 1 else "discs evenly around the crank; a couple remains"
     return [
         Figure("mass of discs and pins", "kg", heavy, f"without ring, crank and carrier; {of}"),
-        Figure("inertia of the discs at the input", "kg·m²", lazy, f"without crank and motor; {of}"),
+        Figure("inertia of the discs at the input", "kg·m²", lazy, at_input),
         Figure("unbalance", "kg·m", (unbalance, unbalance, unbalance), how, ("g·mm", 1e6)),
     ]

@@ -79,6 +79,7 @@ _LEVERS = (  # what may be changed for that, its unit and what it is of, shown u
 )
 _ADAPTED = 8  # times that face width and eccentric bearing are adapted to the drive on its bearings
 _SAFETY = 1.5  # of output pins against bending fatigue
+_PIN_STEEL = "bearing steel"
 _OUTPUT_STEEL = "case-hardened steel"
 _AS_WIDE = "as wide as the eccentric bearing"
 _SHEAR = 30e6  # Pa: of the crank, as in handbooks for shafts whose bending is not known yet
@@ -99,7 +100,7 @@ class Wish(edge.Arguments):
     material
         Of discs, a name of `materials.MATERIALS`.
     pin_material
-        Of the pins, or with ring = "conjugate" not used. Output pins are of case-hardened steel.
+        Of the pins, None for bearing steel; not with ring = "conjugate". Output pins are of case-hardened steel.
     ring
         "pins": dowels in the ring; "conjugate": a ring in one piece with arcs of the discs' material in place of pins.
     process
@@ -130,7 +131,7 @@ class Wish(edge.Arguments):
     torque: PositiveTorque
     material: str
     process: str
-    pin_material: str = "bearing steel"
+    pin_material: str | None = None
     ring: Literal["pins", "conjugate"] = "pins"
     discs: int = pydantic.Field(default=2, ge=1, le=4, strict=True)
     output: Literal["gear", "ring"] = "gear"
@@ -141,8 +142,9 @@ class Wish(edge.Arguments):
 
     @pydantic.field_validator("material", "pin_material")
     @classmethod
-    def _material(cls, name: str) -> str:
-        edge.check_named(name, MATERIALS)
+    def _material(cls, name: str | None) -> str | None:
+        if name is not None:
+            edge.check_named(name, MATERIALS)
         return name
 
     @pydantic.field_validator("process")
@@ -158,6 +160,9 @@ class Wish(edge.Arguments):
             said = f"one stage with the {self.output} as output has a ratio from {least} to {most}"
             more = "; a larger one needs a first stage before it" if abs(self.ratio) > most else ""
             raise edge.ArgumentError("ratio", said + more, self.ratio)
+        if self.pin_material is not None and self.ring == "conjugate":
+            said = "a conjugate ring has arcs of the discs' material in place of pins"
+            raise edge.ArgumentError("pin_material", said, self.pin_material)
         for name in ("bodies", "life"):
             if getattr(self, name) and self.output == "ring":
                 raise edge.ArgumentError(name, "needs bearings, which a drive with the ring as output does not have")
@@ -176,7 +181,7 @@ class Wish(edge.Arguments):
     @property
     def material_of_pins(self) -> str:
         """Material of the pins, or of the arcs in their place."""
-        return self.material if self.ring == "conjugate" else self.pin_material
+        return self.material if self.ring == "conjugate" else self.pin_material or _PIN_STEEL
 
 
 @dataclasses.dataclass(frozen=True)
@@ -387,7 +392,7 @@ def _reasons(wish: Wish, pair: Pair, binding: str) -> dict[str, str]:
         "pair.eccentricity": f"shortening coefficient K = {pair.shortening:.2f}, aimed at {_SHORTENING:g}",
         "pair.face_width": binding,
         "pair.rated_torque": "the wish",
-        "pair.discs": "opposite each other, so balanced" if wish.discs > 1 else "unbalanced: one disc",
+        "pair.discs": "evenly around the crank, so balanced" if wish.discs > 1 else "unbalanced: one disc",
         "modification.isometric": f"with offset: least backlash at which {_YIELD:.0%} of drives by {wish.process} turn",
         "material.gear": MATERIALS[wish.material].source.split(";")[0],
         "material.pin": MATERIALS[wish.material_of_pins].source.split(";")[0],
@@ -481,7 +486,7 @@ def _wide_enough(
     progress("face width")
     (found,) = search(pair.replace(face_width=most), task, starts=0)
     needed = found.pair.face_width
-    why = f"for {pressure * 1e-6:.0f} MPa at rated torque" if needed > 1.001 * least else "the least by rule"
+    why = f"for {pressure * 1e-6:.0f} MPa at rated torque as drawn" if needed > 1.001 * least else "the least by rule"
     return found.pair.replace(face_width=min(_half_mm(needed), round(most, 6))), why
 
 

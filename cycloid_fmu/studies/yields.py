@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -31,6 +32,7 @@ from cycloid_fmu.studies.tolerance import (
     yields,
 )
 from cycloid_fmu.surfaces.sampling import read_tolerances
+from cycloid_fmu.surfaces.surface import nominal_surface
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,6 +73,8 @@ def read_study(
 ) -> Study:
     """Return the study of a pair file and a tolerance file, checked.
 
+    Stated errors of the drive are no part of it, which an `edge.InputWarning` says.
+
     Parameters
     ----------
     torque
@@ -86,7 +90,10 @@ def read_study(
         If a file can't be read, there is neither a torque nor a rated torque, both files state limits, or the study is
         one that `check_study` refuses.
     """
-    (pair, _, first_stage), tolerances = parts_of_file(pair_file), read_tolerances(tolerances_file)
+    (pair, surface, first_stage), tolerances = parts_of_file(pair_file), read_tolerances(tolerances_file)
+    if surface != nominal_surface(pair):
+        left_out = "its errors are no part of the study, whose drives have those within the tolerances alone."
+        warnings.warn(f"{pair_file}: {left_out}", edge.InputWarning, stacklevel=2)
     if not torque:
         rated = pair.rated_load(str(pair_file))
         torque = (rated, -rated)

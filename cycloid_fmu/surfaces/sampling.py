@@ -160,8 +160,10 @@ class Correlation(Config):
 
 
 def _correlation(value: Any) -> Any:
-    if value == "none" or isinstance(value, dict):
-        return None if value == "none" else value
+    if value is None or isinstance(value, (dict, Correlation)):
+        return value
+    if value == "none":
+        return None
     raise ValueError('write { profile = 0.15, width = 0.5 }, fractions of profile and face width, or "none"')
 
 

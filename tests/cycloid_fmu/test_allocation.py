@@ -35,6 +35,16 @@ def test_errors_scale_with_their_own_tolerance():
     assert all(np.abs(one).max() > 0.0 for one in moved)
 
 
+@pytest.mark.parametrize("correlation", ['"none"', "{ profile = 0.2, width = 0.4 }"])
+def test_form_deviations_scale_with_their_tolerance(correlation):
+    text = f'[gear_profile]\ntolerance = "4 um"\ncorrelation = {correlation}\n'
+    study = Study(DRIVE, parse_tolerances(HEAD + text, "t.toml"), 2, 1, (181.0,))
+    place = points(study)[1]
+    once, twice = (surface_of(each, place).gear_deviation for each in (study, scaled(study, np.array([2.0]))))
+    assert np.abs(once).max() > 0.0
+    assert twice == pytest.approx(2.0 * once)
+
+
 @pytest.mark.slow(5)
 @pytest.mark.parametrize("room", [8.0, 1.5])
 def test_allocation_is_the_optimum_of_two_linear_errors(room):

@@ -394,6 +394,29 @@ def test_torques_of_both_flanges_are_derivatives_of_the_stored_energy(case, outp
         assert (there, stiffness_there) == (pytest.approx(held, abs=1e-11), pytest.approx(stiffness_held, rel=1e-4))
 
 
+@pytest.mark.parametrize(("output", "inward"), [("gear", 100e-6), ("ring", 200e-6)])
+def test_a_pin_that_presses_at_its_crest_does_not_hide_the_balance(output, inward):
+    """One pin stands inwards into the flank: where its arm passes zero it presses, and its torque falls with rotation.
+
+    The small torque of the lost motion is carried by another pin, whose flank is still some arcmin away.
+    """
+    modified = {
+        "output": output,
+        "material": {"gear": {"name": "printed PLA"}, "pin": {"name": "bearing steel"}},
+        "modification": {"isometric": "88 um"},
+        "errors": {"pin_radial": [0, 0, 0, 0, -inward]},
+    }
+    sizes = {"pin_circle_radius": "23 mm", "pin_radius": "5 mm", "eccentricity": "2.95 mm", "face_width": "2.5 mm"}
+    pair = make_pair(pins=5, gear_teeth=4, **sizes).replace(**modified)
+    drive = rigid_problem(DriveValue.as_stated(pair))
+    rows = contact.contact_rows(drive)
+    for theta in np.linspace(0.0, 2.0 * np.pi, 181, endpoint=False):
+        for torque in (0.03, -0.03):
+            _, stiffness = contact.equilibrium(drive, theta, torque, 0.0, rows, True)
+            assert contact.carried(rows) == pytest.approx(torque, rel=1e-3)
+            assert stiffness > 0.0
+
+
 @FLANGES
 def test_what_the_crank_does_at_constant_torque(case, output):
     """Its rate of the output is the equilibria's difference, and the stiffness that of two torques."""

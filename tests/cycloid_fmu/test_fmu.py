@@ -1,6 +1,7 @@
 """The FMU as its users meet it: built, validated, loaded by fmpy."""
 
 import json
+import math
 import os
 import shutil
 import subprocess
@@ -19,10 +20,11 @@ from fmpy.fmi2 import FMU2Slave
 from fmpy.fmi3 import FMU3Slave
 from fmpy.validation import validate_fmu
 
+from cycloid_fmu import edge
 from cycloid_fmu.analysis import solve
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.fmu.build import build_fmu
-from cycloid_fmu.fmu.run import simulate_fmu
+from cycloid_fmu.fmu.run import simulate_fmu, turn_crank
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
 from cycloid_fmu.surfaces.files import write_surface
 from cycloid_fmu.surfaces.surface import nominal_surface, surface_of_pair
@@ -257,6 +259,12 @@ def test_a_surface_of_another_pair_is_refused(command, tmp_path):
     assert run.returncode == 2
     assert "other.nc: this surface belongs to another pair: [pair] pin_radius is 0.0031 there" in run.stderr
     assert not (tmp_path / "d.fmu").exists()
+
+
+@pytest.mark.parametrize("turns", [math.nan, math.inf, -math.inf, 1e300, 0.0])
+def test_turns_that_are_no_run_are_refused(turns):
+    with pytest.raises(edge.ArgumentError, match=r"^turns = .*: it must be from 1e-06 to 27777.8, or as "):
+        turn_crank("drive.fmu", 100.0, turns, 1.0, 360)
 
 
 def test_commands_build_inspect_simulate(command, tmp_path):

@@ -34,7 +34,7 @@ from cycloid_fmu.studies.tolerance import (
     run,
     surface_of,
 )
-from cycloid_fmu.studies.yields import conduct
+from cycloid_fmu.studies.yields import conduct, read_study
 from cycloid_fmu.surfaces.sampling import parse_tolerances, read_tolerances, surface_at, within_tolerance
 
 PAIR = read_pair(EXAMPLES / "drive-39-40.toml")
@@ -453,3 +453,12 @@ def test_a_worker_of_another_version_is_refused(cluster, tmp_path):
     _wait_for(address, 2)
     with pytest.raises(edge.InputError, match=r"a worker has cycloid-fmu 9\.9, this process"):
         run(make_study(), scheduler=address)
+
+
+@pytest.mark.parametrize("name", ["drive-39-40-as-made.toml", "rv-20e.toml"])
+@pytest.mark.filterwarnings("ignore::cycloid_fmu.edge.InputWarning")  # of the paper's numbers, which contradict
+def test_a_study_of_a_drive_with_errors_says_that_they_are_no_part_of_it(name):
+    with pytest.warns(edge.InputWarning, match=f"{name}: its errors are no part of the study"):
+        asked = read_study(EXAMPLES / name, EXAMPLES / "tolerances-of-places.toml", [160.0], samples=2, seed=1)
+    point = points(asked)[0]
+    assert surface_of(asked, point) == surface_of(dataclasses.replace(asked, pair=asked.pair.nominal), point)
