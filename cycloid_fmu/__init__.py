@@ -10,19 +10,28 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     __version__: str
-    from cycloid_fmu.draw.plots import plot
-    from cycloid_fmu.drive import Drive, build_fmus, field_units, read_drive
-    from cycloid_fmu.edge import ARCMIN, ARCSEC, InputError
-    from cycloid_fmu.errors.kinds import ErrorKind, register_error_kind
-    from cycloid_fmu.fmu.friction_file import Friction
-    from cycloid_fmu.fmu.run import simulate_fmu
-    from cycloid_fmu.fmu.variables import Interface
-    from cycloid_fmu.geometry.pair import Material, Pair
-    from cycloid_fmu.reducer.description import Reducer, read_reducer
-    from cycloid_fmu.reducer.lost_motion import budget
-    from cycloid_fmu.surfaces.files import read_surface
-    from cycloid_fmu.surfaces.sampling import Tolerances, read_tolerances
-    from cycloid_fmu.surfaces.surface import ErrorSurface
+    from cycloid_fmu.draw.plots import plot as plot
+    from cycloid_fmu.drive import Drive as Drive
+    from cycloid_fmu.drive import build_fmus as build_fmus
+    from cycloid_fmu.drive import field_units as field_units
+    from cycloid_fmu.drive import read_drive as read_drive
+    from cycloid_fmu.edge import ARCMIN as ARCMIN
+    from cycloid_fmu.edge import ARCSEC as ARCSEC
+    from cycloid_fmu.edge import InputError as InputError
+    from cycloid_fmu.errors.kinds import ErrorKind as ErrorKind
+    from cycloid_fmu.errors.kinds import register_error_kind as register_error_kind
+    from cycloid_fmu.fmu.friction_file import Friction as Friction
+    from cycloid_fmu.fmu.run import simulate_fmu as simulate_fmu
+    from cycloid_fmu.fmu.variables import Interface as Interface
+    from cycloid_fmu.geometry.pair import Material as Material
+    from cycloid_fmu.geometry.pair import Pair as Pair
+    from cycloid_fmu.reducer.description import Reducer as Reducer
+    from cycloid_fmu.reducer.description import read_reducer as read_reducer
+    from cycloid_fmu.reducer.lost_motion import budget as budget
+    from cycloid_fmu.surfaces.files import read_surface as read_surface
+    from cycloid_fmu.surfaces.sampling import Tolerances as Tolerances
+    from cycloid_fmu.surfaces.sampling import read_tolerances as read_tolerances
+    from cycloid_fmu.surfaces.surface import ErrorSurface as ErrorSurface
 
 _HOMES = {
     "draw.plots": ("plot",),
@@ -40,31 +49,7 @@ _HOMES = {
     "surfaces.surface": ("ErrorSurface",),
 }
 
-__all__ = [
-    "ARCMIN",
-    "ARCSEC",
-    "Drive",
-    "ErrorKind",
-    "ErrorSurface",
-    "Friction",
-    "InputError",
-    "Interface",
-    "Material",
-    "Pair",
-    "Reducer",
-    "Tolerances",
-    "__version__",
-    "budget",
-    "build_fmus",
-    "field_units",
-    "plot",
-    "read_drive",
-    "read_reducer",
-    "read_surface",
-    "read_tolerances",
-    "register_error_kind",
-    "simulate_fmu",
-]
+__all__ = sorted(("__version__", *(name for names in _HOMES.values() for name in names)))
 
 
 def __getattr__(name: str) -> Any:

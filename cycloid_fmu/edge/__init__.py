@@ -4,175 +4,87 @@ Quantities with units, configuration whose errors name file and field, atomic wr
 shared parts of command lines are in `edge.commands`. Nothing here depends on gears, measurements or encoders.
 """
 
-from cycloid_fmu.edge.cache import cached, hash_of_code, making, show_making
-from cycloid_fmu.edge.config import (
-    Angle,
-    Area,
-    Arguments,
-    Config,
-    Force,
-    HeatCapacity,
-    HeatTransfer,
-    KinematicViscosity,
-    Length,
-    PowerDensity,
-    Pressure,
-    PressureViscosity,
-    RotationalDamping,
-    Seconds,
-    Speed,
-    Stiffness,
-    Temperature,
-    TemperatureCoefficient,
-    ThermalExpansion,
-    ThermalResistance,
-    Torque,
-    TorsionalStiffness,
-    Velocity,
-    WearCoefficient,
-    quantity,
-    unit_of_field,
-    validated,
-)
-from cycloid_fmu.edge.file_kinds import check_format, wrong_kind
-from cycloid_fmu.edge.files import (
-    PICTURES,
-    created_folder,
-    csv_rows,
-    decoded,
-    existing,
-    finite,
-    format_of,
-    json_table,
-    json_text,
-    most_unpacked,
-    naming,
-    number_rows,
-    output_path,
-    read_text,
-    toml_table,
-    unit_columns,
-    writable,
-    written_whole,
-    zip_archive,
-)
-from cycloid_fmu.edge.limited import call_limited, each_limited
-from cycloid_fmu.edge.netcdf_files import hdf5_target, netcdf, write_netcdf
-from cycloid_fmu.edge.problems import (
-    BAD_INPUT,
-    DONE,
-    FAILED,
-    INTERRUPTED,
-    NO_DATA,
-    NOT_MET,
-    ArgumentError,
-    InputError,
-    InputWarning,
-    NoDataError,
-    check_named,
-    did_you_mean,
-    first_line,
-    listed,
-    missing_package,
-    needs_extra,
-    parsed_by_others,
-    shown,
-    without_controls,
-)
-from cycloid_fmu.edge.quantities import (
-    ARCMIN,
-    ARCSEC,
-    RATIO,
-    format_quantity,
-    parse_quantity,
-    parse_unit,
-    unit_scale,
-    units,
-)
-
-__all__ = [
-    "ARCMIN",
-    "ARCSEC",
-    "BAD_INPUT",
-    "DONE",
-    "FAILED",
-    "INTERRUPTED",
-    "NOT_MET",
-    "NO_DATA",
-    "PICTURES",
-    "RATIO",
-    "Angle",
-    "Area",
-    "ArgumentError",
-    "Arguments",
-    "Config",
-    "Force",
-    "HeatCapacity",
-    "HeatTransfer",
-    "InputError",
-    "InputWarning",
-    "KinematicViscosity",
-    "Length",
-    "NoDataError",
-    "PowerDensity",
-    "Pressure",
-    "PressureViscosity",
-    "RotationalDamping",
-    "Seconds",
-    "Speed",
-    "Stiffness",
-    "Temperature",
-    "TemperatureCoefficient",
-    "ThermalExpansion",
-    "ThermalResistance",
-    "Torque",
-    "TorsionalStiffness",
-    "Velocity",
-    "WearCoefficient",
-    "cached",
-    "call_limited",
-    "check_format",
-    "check_named",
-    "created_folder",
-    "csv_rows",
-    "decoded",
-    "did_you_mean",
-    "each_limited",
-    "existing",
-    "finite",
-    "first_line",
-    "format_of",
-    "format_quantity",
-    "hash_of_code",
-    "hdf5_target",
-    "json_table",
-    "json_text",
-    "listed",
-    "making",
-    "missing_package",
-    "most_unpacked",
-    "naming",
-    "needs_extra",
-    "netcdf",
-    "number_rows",
-    "output_path",
-    "parse_quantity",
-    "parse_unit",
-    "parsed_by_others",
-    "quantity",
-    "read_text",
-    "show_making",
-    "shown",
-    "toml_table",
-    "unit_columns",
-    "unit_of_field",
-    "unit_scale",
-    "units",
-    "validated",
-    "without_controls",
-    "writable",
-    "write_netcdf",
-    "written_whole",
-    "wrong_kind",
-    "zip_archive",
-]
+from cycloid_fmu.edge.cache import cached as cached
+from cycloid_fmu.edge.cache import hash_of_code as hash_of_code
+from cycloid_fmu.edge.cache import making as making
+from cycloid_fmu.edge.cache import show_making as show_making
+from cycloid_fmu.edge.config import Angle as Angle
+from cycloid_fmu.edge.config import Area as Area
+from cycloid_fmu.edge.config import Arguments as Arguments
+from cycloid_fmu.edge.config import Config as Config
+from cycloid_fmu.edge.config import Force as Force
+from cycloid_fmu.edge.config import HeatCapacity as HeatCapacity
+from cycloid_fmu.edge.config import HeatTransfer as HeatTransfer
+from cycloid_fmu.edge.config import KinematicViscosity as KinematicViscosity
+from cycloid_fmu.edge.config import Length as Length
+from cycloid_fmu.edge.config import PowerDensity as PowerDensity
+from cycloid_fmu.edge.config import Pressure as Pressure
+from cycloid_fmu.edge.config import PressureViscosity as PressureViscosity
+from cycloid_fmu.edge.config import RotationalDamping as RotationalDamping
+from cycloid_fmu.edge.config import Seconds as Seconds
+from cycloid_fmu.edge.config import Speed as Speed
+from cycloid_fmu.edge.config import Stiffness as Stiffness
+from cycloid_fmu.edge.config import Temperature as Temperature
+from cycloid_fmu.edge.config import TemperatureCoefficient as TemperatureCoefficient
+from cycloid_fmu.edge.config import ThermalExpansion as ThermalExpansion
+from cycloid_fmu.edge.config import ThermalResistance as ThermalResistance
+from cycloid_fmu.edge.config import Torque as Torque
+from cycloid_fmu.edge.config import TorsionalStiffness as TorsionalStiffness
+from cycloid_fmu.edge.config import Velocity as Velocity
+from cycloid_fmu.edge.config import WearCoefficient as WearCoefficient
+from cycloid_fmu.edge.config import quantity as quantity
+from cycloid_fmu.edge.config import unit_of_field as unit_of_field
+from cycloid_fmu.edge.config import validated as validated
+from cycloid_fmu.edge.file_kinds import check_format as check_format
+from cycloid_fmu.edge.file_kinds import wrong_kind as wrong_kind
+from cycloid_fmu.edge.files import PICTURES as PICTURES
+from cycloid_fmu.edge.files import created_folder as created_folder
+from cycloid_fmu.edge.files import csv_rows as csv_rows
+from cycloid_fmu.edge.files import decoded as decoded
+from cycloid_fmu.edge.files import existing as existing
+from cycloid_fmu.edge.files import finite as finite
+from cycloid_fmu.edge.files import format_of as format_of
+from cycloid_fmu.edge.files import json_table as json_table
+from cycloid_fmu.edge.files import json_text as json_text
+from cycloid_fmu.edge.files import most_unpacked as most_unpacked
+from cycloid_fmu.edge.files import naming as naming
+from cycloid_fmu.edge.files import number_rows as number_rows
+from cycloid_fmu.edge.files import output_path as output_path
+from cycloid_fmu.edge.files import read_text as read_text
+from cycloid_fmu.edge.files import toml_table as toml_table
+from cycloid_fmu.edge.files import unit_columns as unit_columns
+from cycloid_fmu.edge.files import writable as writable
+from cycloid_fmu.edge.files import written_whole as written_whole
+from cycloid_fmu.edge.files import zip_archive as zip_archive
+from cycloid_fmu.edge.limited import call_limited as call_limited
+from cycloid_fmu.edge.limited import each_limited as each_limited
+from cycloid_fmu.edge.netcdf_files import hdf5_target as hdf5_target
+from cycloid_fmu.edge.netcdf_files import netcdf as netcdf
+from cycloid_fmu.edge.netcdf_files import write_netcdf as write_netcdf
+from cycloid_fmu.edge.problems import BAD_INPUT as BAD_INPUT
+from cycloid_fmu.edge.problems import DONE as DONE
+from cycloid_fmu.edge.problems import FAILED as FAILED
+from cycloid_fmu.edge.problems import INTERRUPTED as INTERRUPTED
+from cycloid_fmu.edge.problems import NO_DATA as NO_DATA
+from cycloid_fmu.edge.problems import NOT_MET as NOT_MET
+from cycloid_fmu.edge.problems import ArgumentError as ArgumentError
+from cycloid_fmu.edge.problems import InputError as InputError
+from cycloid_fmu.edge.problems import InputWarning as InputWarning
+from cycloid_fmu.edge.problems import NoDataError as NoDataError
+from cycloid_fmu.edge.problems import check_named as check_named
+from cycloid_fmu.edge.problems import did_you_mean as did_you_mean
+from cycloid_fmu.edge.problems import first_line as first_line
+from cycloid_fmu.edge.problems import listed as listed
+from cycloid_fmu.edge.problems import missing_package as missing_package
+from cycloid_fmu.edge.problems import needs_extra as needs_extra
+from cycloid_fmu.edge.problems import parsed_by_others as parsed_by_others
+from cycloid_fmu.edge.problems import shown as shown
+from cycloid_fmu.edge.problems import without_controls as without_controls
+from cycloid_fmu.edge.quantities import ARCMIN as ARCMIN
+from cycloid_fmu.edge.quantities import ARCSEC as ARCSEC
+from cycloid_fmu.edge.quantities import RATIO as RATIO
+from cycloid_fmu.edge.quantities import format_quantity as format_quantity
+from cycloid_fmu.edge.quantities import parse_quantity as parse_quantity
+from cycloid_fmu.edge.quantities import parse_unit as parse_unit
+from cycloid_fmu.edge.quantities import unit_scale as unit_scale
+from cycloid_fmu.edge.quantities import units as units

@@ -7,17 +7,20 @@ the same reference in both versions.
 
 from __future__ import annotations
 
+import csv
 import dataclasses
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from importlib import resources
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.edge import Config
-from cycloid_fmu.errors.kinds import KINDS, kind_of, names_of, wave_of
+from cycloid_fmu.errors.kinds import KINDS, ErrorKind, kind_of, names_of, wave_of
 from cycloid_fmu.fmu.constants import COLDEST, FRICTION_ELEMENTS, HOTTEST, REFERENCE_TEMPERATURE, SUGGESTED_STEP
 from cycloid_fmu.fmu.friction import FLANGES, Law
 from cycloid_fmu.fmu.friction_file import LIMITS, Friction
@@ -75,7 +78,6 @@ class LossRipple(Config):
 
 ADDED: dict[str, type[Config]] = {"lubricant": Lubricant, "thermal": Thermal, "loss_ripple": LossRipple}
 """Values of an `Interface` that the resources of an FMU contain only if they are stated."""
-LARGEST_STEP = 1e-3  # s: default of `largest_step`
 # Attributes of the models for variables with a different name.
 ATTRIBUTES = {
     "flange_a.phi": "crank_angle",
@@ -290,64 +292,39 @@ def stiffness_text(pair: Pair, interface: Interface) -> str:
     return text
 
 
-def _arm(driven: str) -> list[Variable]:
-    """Return what a step takes of the arm in the host and of the motor's controller."""
-
-    def taken(name: str, text: str, unit: str, nominal: float, least: float | None = None) -> Variable:
-        return Variable(name, text, "input", unit=unit, least=least, nominal=nominal, start=0.0)
-
-    of_all = "torque of everything but the drive on arm_inertia"
-    less = "decrease of flange_a.tau within a step per"
-    return [
-        taken(
-            "arm_inertia",
-            "inertia of the arm at flange_b with every other joint free, 1/(M^-1)_jj; to be set before the first step",
-            "kg.m2",
-            1.0,
-            0.0,
-        ),
-        taken("arm_torque", f"{of_all} at the beginning of a step, counter-clockwise", "N.m", 100.0),
-        taken("arm_torque_rate", f"rate of the {of_all}", "N.m/s", 100.0),
-        taken("motor_stiffness", f"{less} angle of the {driven}, as by its controller", "N.m/rad", 1.0, 0.0),
-        taken("motor_damping", f"{less} speed of the {driven}, as by its controller", "N.m.s/rad", 0.1, 0.0),
-    ]
+@functools.cache
+def _listed() -> dict[str, Variable]:
+    """Return the variables of `variables.csv` by name; an empty cell is the default of `Variable`."""
+    text = resources.files("cycloid_fmu.fmu").joinpath("variables.csv").read_text(encoding="utf-8")
+    numbers, listed = ("least", "most", "nominal", "start"), dict[str, Variable]()
+    for row in csv.DictReader(text.splitlines()):
+        stated: dict[str, Any] = {key: float(cell) if key in numbers else cell for key, cell in row.items() if cell}
+        listed[row["name"]] = Variable(**{"description": "", "causality": "local", **stated})
+    return listed
 
 
-# Long as it is a table of variables, in the order of their references.
+def _variable(name: str, of: str = "", **changes: Any) -> Variable:
+    """Return a variable of the list, with `of` in its description, and changed as drive and interface have it."""
+    listed = _listed()[name]
+    return dataclasses.replace(listed, **{"description": listed.description.format(of=of), **changes})
+
+
 def _flanges(pair: Pair, interface: Interface) -> list[Variable]:
     driven, dynamic = interface.driven, interface.kind == "compliant"
     inside, both = not dynamic or interface.output_inertia > 0.0, interface.crank_inertia > 0.0
     moved = dynamic and inside  # by internal inertias: all outputs depend on their state, not on inputs
 
     def motion(end: str, what: str, causality: Literal["input", "output"]) -> list[Variable]:
-        start, nominal = 0.0 if causality == "input" else None, 100.0 if end == "a" else 1.0
-        # The speed at the present torque is not the derivative of an angle that also depends on the torque.
-        derived = None if end == "b" and not dynamic else f"flange_{end}.phi"
-        return [
-            Variable(
-                f"flange_{end}.phi",
-                f"{what} angle, counter-clockwise",
-                causality,
-                unit="rad",
-                display="deg",
-                nominal=1.0,
-                start=start,
-            ),
-            Variable(
-                f"flange_{end}.w",
-                f"{what} speed" + ("" if derived else " at the present torque"),
-                causality,
-                unit="rad/s",
-                display="rev/min",
-                nominal=nominal,
-                derivative_of=derived,
-                start=start,
-            ),
-        ]
+        changes: dict[str, Any] = {"causality": causality, "start": 0.0 if causality == "input" else None}
+        angle, speed = (_variable(f"flange_{end}.{name}", what, **changes) for name in ("phi", "w"))
+        if end == "b" and not dynamic:  # the speed is not the derivative of an angle that also depends on the torque
+            text = f"{speed.description} at the present torque"
+            speed = dataclasses.replace(speed, derivative_of=None, description=text)
+        return [angle, speed]
 
     def torque(end: str, text: str, causality: Literal["input", "output"], depends: tuple[str, ...] = ()) -> Variable:
-        start, nominal = 0.0 if causality == "input" else None, 10.0 if end == "a" else 100.0
-        return Variable(f"flange_{end}.tau", text, causality, unit="N.m", nominal=nominal, start=start, depends=depends)
+        start = 0.0 if causality == "input" else None
+        return _variable(f"flange_{end}.tau", description=text, causality=causality, start=start, depends=depends)
 
     hosted = both and not inside  # the arm is in the host: torque and motion of the drive belong to the last step
     tau_b = "torque of the environment on the output, counter-clockwise" + (
@@ -357,7 +334,9 @@ def _flanges(pair: Pair, interface: Interface) -> list[Variable]:
     taken = [torque("a", f"torque on the {driven}", "input")] if both else motion("a", driven, "input")
     taken += [torque("b", tau_b, "input")] if inside else motion("b", "output", "input")
     every = () if moved else tuple(v.name for v in taken if v.name != "flange_a.tau")
-    taken += _arm(driven) if hosted else []
+    if hosted:  # what a step takes of the arm in the host and of the motor's controller
+        names = ("arm_inertia", "arm_torque", "arm_torque_rate", "motor_stiffness", "motor_damping")
+        taken += [_variable(name, driven) for name in names]
     placed = tuple(n for n in every if not n.endswith(".w"))
     given = motion("a", driven, "output") if both else []
     if inside:
@@ -365,272 +344,91 @@ def _flanges(pair: Pair, interface: Interface) -> list[Variable]:
         given += [dataclasses.replace(angle, depends=placed), dataclasses.replace(speed, depends=every)]
     given += [] if both else [torque("a", tau_a, "output", depends=every)]
     given += [] if inside else [torque("b", tau_b, "output", depends=() if hosted else every)]
-    if hosted:
-        text = "angle of the arm at the end of the last step, to be given to the host's"
-        given.append(Variable("arm_angle", text, "output", unit="rad", display="deg", nominal=1.0))
+    given += [_variable("arm_angle")] if hosted else []
     crank = () if both or moved else ("flange_a.phi",)
-    given += [
-        Variable(
-            "transmission_error",
-            f"output angle minus {driven} angle/ratio",
-            "output",
-            unit="rad",
-            display="arcsec",
-            nominal=1e-4,
-            depends=placed,
-        ),
-        Variable(
-            "backlash",
-            f"free rotation of the output with the {driven} locked; 0 if there is none",
-            "output",
-            unit="rad",
-            display="arcsec",
-            least=0.0,
-            nominal=1e-4,
-            depends=crank,
-        ),
-        Variable(
-            "torsional_stiffness",
-            f"torsional stiffness at the output; {stiffness_text(pair, interface)}",
-            "output",
-            unit="N.m/rad",
-            display="N.m/arcmin",
-            least=0.0,
-            nominal=1e5,
-            depends=placed,
-        ),
-        Variable(
-            "max_contact_pressure",
-            "largest contact pressure",
-            "output",
-            unit="Pa",
-            display="MPa",
-            least=0.0,
-            nominal=1e9,
-            depends=placed,
-        ),
+    return [
+        *taken,
+        *given,
+        _variable("transmission_error", driven, depends=placed),
+        _variable("backlash", driven, depends=crank),
+        _variable("torsional_stiffness", stiffness_text(pair, interface), depends=placed),
+        _variable("max_contact_pressure", depends=placed),
     ]
-    return [*taken, *given]
+
+
+def _error(kind: ErrorKind, name: str, start: float | tuple[float, ...], text: str = "") -> Variable:
+    """Return the parameter of an error, of which a description may say more."""
+    display, nominal = ("arcsec", 1e-4) if kind.unit == "rad" else ("um", 1e-6)
+    variable = Variable(name, kind.description + text, "parameter", "tunable", kind.unit, display, baked=True)
+    return dataclasses.replace(variable, least=-kind.limit, most=kind.limit, nominal=nominal, start=start)
 
 
 def _parameters(drive: DriveValue, interface: Interface) -> list[Variable]:
-    pair, surface = drive.pair, drive.surface
     table = []
-    for name in names_of(pair):
+    for name in names_of(drive.pair):
         kind, wave = kind_of(name), wave_of(name)
         assert kind is not None
-        text = kind.description
-        if wave is not None:
-            text += f": {'cosine' if wave[2] == 'cos' else 'sine'} part of order {wave[1]}"
-        table.append(
-            Variable(
-                name,
-                text,
-                "parameter",
-                "tunable",
-                kind.unit,
-                "arcsec" if kind.unit == "rad" else "um",
-                -kind.limit,
-                kind.limit,
-                1e-4 if kind.unit == "rad" else 1e-6,
-                structured_value(surface, name),
-                baked=True,
-            )
-        )
-    table += [
-        Variable(
-            "friction_torque",
-            "Coulomb friction at the output",
-            "parameter",
-            "tunable",
-            "N.m",
-            least=0.0,
-            nominal=1.0,
-            start=interface.laws[1].coulomb,
-        ),
-        Variable(
-            "series_compliance",
-            "compliance of the rest of the drivetrain, in series",
-            "parameter",
-            "tunable",
-            "rad/(N.m)",
-            "arcsec/(N.m)",
-            0.0,
-            nominal=1e-6,
-            start=interface.series_compliance,
-        ),
+        text = "" if wave is None else f": {'cosine' if wave[2] == 'cos' else 'sine'} part of order {wave[1]}"
+        table.append(_error(kind, name, structured_value(drive.surface, name), text))
+    return [
+        *table,
+        _variable("friction_torque", start=interface.laws[1].coulomb),
+        _variable("series_compliance", start=interface.series_compliance),
     ]
-    return table
 
 
-# Long as it is a table of variables, in the order of their references.
+_LOSS_COLUMNS: tuple[tuple[str, str, str | None, float, float | None], ...] = (
+    ("speed of flange_a, ascending from 0", "rad/s", "rev/min", 0.0, None),
+    ("efficiency while power flows from flange_a to flange_b", "1", "%", 1e-3, 1.0),
+    ("efficiency while power flows from flange_b to flange_a", "1", "%", 0.0, 1.0),
+    ("friction torque at flange_a while power flows from a to b", "N.m", None, 0.0, None),
+    ("friction torque at flange_a while power flows from b to a", "N.m", None, 0.0, None),
+)
+
+
 def _further(interface: Interface) -> list[Variable]:
     """Variables added after the first version, last so that earlier references do not change."""
-    moving = (
-        ()
-        if interface.output_inertia > 0.0 or interface.rotor_alone
-        else (
-            "flange_a.phi",
-            "flange_a.w",
-            *(("flange_b.tau",) if interface.kind == "kinematic" else ("flange_b.phi", "flange_b.w")),
-        )
-    )
-    table = [
-        Variable("power_loss", "dissipated power", "output", unit="W", nominal=10.0, depends=moving, least=0.0),
-        Variable(
-            "backlash_on",
-            "whether backlash is included; if false, both flanks touch at zero torque",
-            "parameter",
-            "tunable",
-            kind="boolean",
-            start=1.0,
-        ),
-    ]
-    columns = (
-        ("speed of flange_a, ascending from 0", "rad/s", "rev/min", 0.0, None),
-        ("efficiency while power flows from flange_a to flange_b", "1", "%", 1e-3, 1.0),
-        ("efficiency while power flows from flange_b to flange_a", "1", "%", 0.0, 1.0),
-        ("friction torque at flange_a while power flows from a to b", "N.m", None, 0.0, None),
-        ("friction torque at flange_a while power flows from b to a", "N.m", None, 0.0, None),
-    )
+    moving: tuple[str, ...] = ()
+    if interface.output_inertia == 0.0 and not interface.rotor_alone:
+        of_output = ("flange_b.tau",) if interface.kind == "kinematic" else ("flange_b.phi", "flange_b.w")
+        moving = ("flange_a.phi", "flange_a.w", *of_output)
+    table = [_variable("power_loss", depends=moving), _variable("backlash_on")]
     for i, row in enumerate(interface.losses, start=1):
-        for j, (value, (text, unit, display, least, most)) in enumerate(zip(row, columns, strict=True), start=1):
-            table.append(
-                Variable(
-                    f"loss_table[{i},{j}]",
-                    f"losses, row {i}: {text}",
-                    "parameter",
-                    "fixed",
-                    unit,
-                    display,
-                    least,
-                    most,
-                    1.0,
-                    value,
-                )
-            )
-    if interface.kind == "compliant":
-        taken = ("flange_b.phi",) if interface.rotor_alone else ("flange_a.phi", "flange_b.phi")
-        still = () if interface.output_inertia > 0.0 else taken
-        table += [
-            Variable(
-                "elastic_energy",
-                "energy stored in contacts, series compliance and friction",
-                "output",
-                unit="J",
-                least=0.0,
-                nominal=1e-2,
-                depends=still,
-            ),
-            Variable(
-                "dissipated_energy",
-                "energy dissipated since initialisation",
-                "output",
-                unit="J",
-                least=0.0,
-                nominal=1.0,
-            ),
-            Variable(
-                "mesh_damping",
-                "contact damping at the output, at most the elastic torque; an assumption unless "
-                "measured: vibration at a resonance of the mesh is inversely proportional to it; published "
-                f"damping ratios of gear meshes are {DAMPING_RATIOS[0]:g} to {DAMPING_RATIOS[1]:g}",
-                "parameter",
-                "tunable",
-                "N.m.s/rad",
-                least=0.0,
-                nominal=10.0,
-                start=interface.mesh_damping or 0.0,
-            ),
-            Variable(
-                "largest_step",
-                "largest internal step; a longer communication step is divided",
-                "parameter",
-                "fixed",
-                "s",
-                "ms",
-                1e-9,
-                nominal=1e-3,
-                start=LARGEST_STEP,
-            ),
-        ]
-        if interface.output_inertia > 0.0:
-            table.append(
-                Variable(
-                    "output_inertia",
-                    "internal moment of inertia on the output",
-                    "parameter",
-                    "fixed",
-                    "kg.m2",
-                    least=1e-9,
-                    nominal=interface.output_inertia,
-                    start=interface.output_inertia,
-                )
-            )
-        if interface.crank_inertia > 0.0:
-            table += [
-                Variable(
-                    "crank_inertia",
-                    f"internal moment of inertia on the {interface.driven}",
-                    "parameter",
-                    "fixed",
-                    "kg.m2",
-                    least=1e-9,
-                    nominal=interface.crank_inertia,
-                    start=interface.crank_inertia,
-                ),
-                Variable(
-                    "crank_angle_start",
-                    f"{interface.driven} angle at the start",
-                    "parameter",
-                    "fixed",
-                    "rad",
-                    "deg",
-                    nominal=1.0,
-                    start=0.0,
-                ),
-                Variable(
-                    "crank_speed_start",
-                    f"{interface.driven} speed at the start",
-                    "parameter",
-                    "fixed",
-                    "rad/s",
-                    "rev/min",
-                    nominal=100.0,
-                    start=0.0,
-                ),
-            ]
+        for j, (value, (text, unit, display, least, most)) in enumerate(zip(row, _LOSS_COLUMNS, strict=True), start=1):
+            name, text = f"loss_table[{i},{j}]", f"losses, row {i}: {text}"
+            table.append(Variable(name, text, "parameter", "fixed", unit, display, least, most, 1.0, value))
+    if interface.kind == "kinematic":
+        return table
+    taken = ("flange_b.phi",) if interface.rotor_alone else ("flange_a.phi", "flange_b.phi")
+    still = () if interface.output_inertia > 0.0 else taken
+    low, high = DAMPING_RATIOS
+    table += [
+        _variable("elastic_energy", depends=still),
+        _variable("dissipated_energy"),
+        _variable("mesh_damping", f"{low:g} to {high:g}", start=interface.mesh_damping or 0.0),
+        _variable("largest_step"),
+    ]
+    for name in ("output_inertia", "crank_inertia"):
+        if (inertia := getattr(interface, name)) > 0.0:
+            table.append(_variable(name, interface.driven, nominal=inertia, start=inertia))
+    if interface.crank_inertia > 0.0:
+        table += [_variable(name, interface.driven) for name in ("crank_angle_start", "crank_speed_start")]
     return table
 
 
 def _information(pair: Pair, placed: tuple[str, ...], ratio: float) -> list[Variable]:
     """Information for the surrounding model."""
-    table = [
-        Variable(
-            "outside_range",
-            "whether a torque exceeds a native FMU's tables; accuracy is not stated there",
-            "output",
-            "discrete",
-            kind="boolean",
-            depends=placed,
-        ),
-        Variable(
-            "ratio", "flange_a.phi/flange_b.phi of the ideal drive", "local", "constant", "1", start=ratio, baked=True
-        ),
-    ]
+    table = [_variable("outside_range", depends=placed), _variable("ratio", start=ratio, baked=True)]
     if pair.rated_torque is not None:
-        table.append(
-            Variable(
-                "rated_torque",
-                "rated torque at the output",
-                "local",
-                "constant",
-                "N.m",
-                start=pair.rated_torque,
-                baked=True,
-            )
-        )
+        table.append(_variable("rated_torque", start=pair.rated_torque, baked=True))
     return table
+
+
+def _kelvin(
+    name: str, text: str, causality: Literal["input", "output", "parameter"], start: float | None = None
+) -> Variable:
+    fixed: Literal["fixed", "continuous"] = "fixed" if causality == "parameter" else "continuous"
+    return Variable(name, text, causality, fixed, "K", None, COLDEST, HOTTEST, 300.0, start)
 
 
 def _friction(interface: Interface) -> list[Variable]:
@@ -647,111 +445,46 @@ def _friction(interface: Interface) -> list[Variable]:
     }
     displays = {"stribeck_speed": "rev/min", "load_share": "%", "presliding_angle": "arcsec"}
     table = []
-    for flange, law in zip(FLANGES, interface.laws, strict=True):
+    for flange, end, law in zip(FLANGES, "ab", interface.laws, strict=True):
         for name, text in texts.items():
             if (flange == "output" and name == "coulomb") or ("temperature" in name and not interface.scaled):
                 continue
             unit, least, most, nominal = LIMITS[name]
-            table.append(
-                Variable(
-                    f"{flange}_friction.{name}",
-                    f"at flange_{'ab'[flange == 'output']}: {text}",
-                    "parameter",
-                    "tunable",
-                    unit,
-                    displays.get(name),
-                    least,
-                    most,
-                    nominal,
-                    getattr(law, name),
-                )
-            )
+            key, said, start = f"{flange}_friction.{name}", f"at flange_{end}: {text}", getattr(law, name)
+            shown = displays.get(name)
+            table.append(Variable(key, said, "parameter", "tunable", unit, shown, least, most, nominal, start))
     lubricant = interface.lubricant
     if lubricant is not None:
         table += _lubricant(lubricant)
     if interface.thermal is not None:
         table += _heat_port(interface.thermal)
     elif interface.warms:
-        table.append(
-            Variable(
-                "temperature",
-                "temperature of the sliding parts" if lubricant is None else "temperature of the oil",
-                "input",
-                unit="K",
-                least=COLDEST,
-                most=HOTTEST,
-                nominal=300.0,
-                start=REFERENCE_TEMPERATURE if lubricant is None else lubricant.temperature,
-            )
-        )
+        text = "temperature of the sliding parts" if lubricant is None else "temperature of the oil"
+        start = REFERENCE_TEMPERATURE if lubricant is None else lubricant.temperature
+        table.append(_kelvin("temperature", text, "input", start))
     return table
 
 
 def _heat_port(thermal: Thermal) -> list[Variable]:
     """Variables of the heat capacity: a heat port as Modelica's, and what the surroundings take."""
-
-    def kelvin(
-        name: str, text: str, causality: Literal["input", "output", "parameter"], start: float | None
-    ) -> Variable:
-        fixed: Literal["fixed", "continuous"] = "fixed" if causality == "parameter" else "continuous"
-        return Variable(name, text, causality, fixed, "K", None, COLDEST, HOTTEST, 300.0, start)
-
     return [
-        kelvin("heat_port.T", "temperature of the oil", "output", None),
-        Variable(
-            "heat_port.Q_flow",
-            "heat flow into the drive, besides that to the surroundings",
-            "input",
-            unit="W",
-            nominal=10.0,
-            start=0.0,
-        ),
-        kelvin("ambient_temperature", "temperature of the surroundings", "input", thermal.ambient),
-        kelvin("temperature_start", "temperature of the oil at the start", "parameter", thermal.ambient),
-        Variable(
-            "thermal_resistance",
-            "thermal resistance from the oil to the surroundings",
-            "parameter",
-            "tunable",
-            "K/W",
-            least=1e-9,
-            nominal=1.0,
-            start=thermal.whole,
-        ),
-        Variable(
-            "heat_capacity",
-            "heat capacity of the drive",
-            "parameter",
-            "tunable",
-            "J/K",
-            least=1e-9,
-            nominal=1e3,
-            start=thermal.capacity,
-        ),
+        _kelvin("heat_port.T", "temperature of the oil", "output"),
+        _variable("heat_port.Q_flow"),
+        _kelvin("ambient_temperature", "temperature of the surroundings", "input", thermal.ambient),
+        _kelvin("temperature_start", "temperature of the oil at the start", "parameter", thermal.ambient),
+        _variable("thermal_resistance", start=thermal.whole),
+        _variable("heat_capacity", start=thermal.capacity),
     ]
 
 
 def _lubricant(lubricant: Lubricant) -> list[Variable]:
     """Parameters of the viscosity over the temperature, which multiplies the speed in the loss table."""
-
-    def viscosity(celsius: int, start: float) -> Variable:
-        text = f"lubricant: kinematic viscosity at {celsius} degC"
-        name = f"lubricant.viscosity_{celsius}"
-        return Variable(name, text, "parameter", "fixed", "m2/s", "mm2/s", 4e-7, 1.0, 1e-4, start)
-
-    stated = Variable(
-        "lubricant.temperature",
-        "lubricant: temperature at which loss_table is stated",
-        "parameter",
-        "fixed",
-        "K",
-        None,
-        COLDEST,
-        HOTTEST,
-        300.0,
-        lubricant.temperature,
-    )
-    return [viscosity(40, lubricant.viscosity_40), viscosity(100, lubricant.viscosity_100), stated]
+    text = "lubricant: temperature at which loss_table is stated"
+    return [
+        _variable("lubricant.viscosity_40", start=lubricant.viscosity_40),
+        _variable("lubricant.viscosity_100", start=lubricant.viscosity_100),
+        _kelvin("lubricant.temperature", text, "parameter", lubricant.temperature),
+    ]
 
 
 def _with_support(table: Sequence[Variable], inside: bool) -> list[Variable]:
@@ -762,71 +495,21 @@ def _with_support(table: Sequence[Variable], inside: bool) -> list[Variable]:
         for v in table
     ]
     given = () if inside else (*(v.name for v in table if v.causality == "input"), *follows.values())
-    text = "torque to hold the housing" + (", mean over the last step" if inside else "")
-    return [
-        *following,
-        Variable(
-            "support.phi",
-            "housing angle, counter-clockwise",
-            "input",
-            unit="rad",
-            display="deg",
-            nominal=1.0,
-            start=0.0,
-        ),
-        Variable(
-            "support.w",
-            "housing speed",
-            "input",
-            unit="rad/s",
-            display="rev/min",
-            nominal=1.0,
-            start=0.0,
-            derivative_of="support.phi",
-        ),
-        Variable("support.tau", text, "output", unit="N.m", nominal=100.0, depends=given),
-    ]
+    torque = _variable("support.tau", depends=given)
+    text = torque.description + (", mean over the last step" if inside else "")
+    torque = dataclasses.replace(torque, description=text)
+    return [*following, _variable("support.phi"), _variable("support.w"), torque]
 
 
 def _arrays(drive: DriveValue, placed: tuple[str, ...]) -> list[Variable]:
     pair, surface = drive.pair, drive.surface
-    shape = (pair.discs, pair.pins)
     table = [Variable("time", "time", "independent", unit="s")]
-    for name, text, unit, display, nominal in (
-        ("pin_force", "force on each pin", "N", None, 100.0),
-        ("pin_pressure", "largest contact pressure on each pin", "Pa", "MPa", 1e9),
-    ):
-        table.append(
-            Variable(
-                name,
-                f"{text} (discs, pins)",
-                "output",
-                unit=unit,
-                display=display,
-                least=0.0,
-                nominal=nominal,
-                depends=placed,
-                dimensions=shape,
-            )
-        )
+    for name in ("pin_force", "pin_pressure"):
+        table.append(_variable(name, depends=placed, dimensions=(pair.discs, pair.pins)))
     for kind in KINDS.values():
         if kind.of == "pin":
-            table.append(
-                Variable(
-                    kind.name,
-                    kind.description,
-                    "parameter",
-                    "tunable",
-                    "m",
-                    "um",
-                    -kind.limit,
-                    kind.limit,
-                    1e-6,
-                    tuple(map(float, surface.errors[kind.name])),
-                    dimensions=(pair.pins,),
-                    baked=True,
-                )
-            )
+            values = _error(kind, kind.name, tuple(map(float, surface.errors[kind.name])))
+            table.append(dataclasses.replace(values, dimensions=(pair.pins,)))
     return table
 
 
@@ -849,16 +532,7 @@ def variables(
     pair = drive.pair
     flanges = _flanges(pair, interface)
     shape = next(v.depends for v in flanges if v.name == "transmission_error")
-    count = Variable(
-        "contact_count",
-        "number of pins that carry more than 1 % of the most loaded pin's force",
-        "output",
-        "discrete",
-        kind="integer",
-        least=0.0,
-        most=float(pair.pins * pair.discs),
-        depends=shape,
-    )
+    count = _variable("contact_count", most=float(pair.pins * pair.discs), depends=shape)
     table = [*flanges, count, *_parameters(drive, interface), *_further(interface)]
     table += [*_information(pair, shape, drive.ratio), *_friction(interface)]
     if interface.support_flange:
