@@ -6,6 +6,7 @@ import codecs
 import contextlib
 import csv
 import errno
+import importlib.resources
 import json
 import math
 import os
@@ -247,6 +248,12 @@ def csv_rows(path: str | os.PathLike[str]) -> Iterator[list[str]]:
         if row is None:
             return
         yield row
+
+
+def packaged_rows(package: str, name: str) -> list[dict[str, str]]:
+    """Return the rows of a CSV table that is part of a package, each by the names in the header."""
+    text = importlib.resources.files(package).joinpath(name).read_text(encoding="utf-8")
+    return list(csv.DictReader(text.splitlines()))
 
 
 def number_rows(

@@ -7,19 +7,17 @@ the same reference in both versions.
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib import resources
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu.drive_value import DriveValue
-from cycloid_fmu.edge import Config
+from cycloid_fmu.edge import Config, packaged_rows
 from cycloid_fmu.errors.kinds import KINDS, ErrorKind, kind_of, names_of, wave_of
 from cycloid_fmu.fmu.constants import COLDEST, FRICTION_ELEMENTS, HOTTEST, REFERENCE_TEMPERATURE, SUGGESTED_STEP
 from cycloid_fmu.fmu.friction import FLANGES, Law
@@ -295,9 +293,8 @@ def stiffness_text(pair: Pair, interface: Interface) -> str:
 @functools.cache
 def _listed() -> dict[str, Variable]:
     """Return the variables of `variables.csv` by name; an empty cell is the default of `Variable`."""
-    text = resources.files("cycloid_fmu.fmu").joinpath("variables.csv").read_text(encoding="utf-8")
     numbers, listed = ("least", "most", "nominal", "start"), dict[str, Variable]()
-    for row in csv.DictReader(text.splitlines()):
+    for row in packaged_rows("cycloid_fmu.fmu", "variables.csv"):
         stated: dict[str, Any] = {key: float(cell) if key in numbers else cell for key, cell in row.items() if cell}
         listed[row["name"]] = Variable(**{"description": "", "causality": "local", **stated})
     return listed
@@ -450,9 +447,9 @@ def _friction(interface: Interface) -> list[Variable]:
             if (flange == "output" and name == "coulomb") or ("temperature" in name and not interface.scaled):
                 continue
             unit, least, most, nominal = LIMITS[name]
-            key, said, start = f"{flange}_friction.{name}", f"at flange_{end}: {text}", getattr(law, name)
+            key, meaning, start = f"{flange}_friction.{name}", f"at flange_{end}: {text}", getattr(law, name)
             shown = displays.get(name)
-            table.append(Variable(key, said, "parameter", "tunable", unit, shown, least, most, nominal, start))
+            table.append(Variable(key, meaning, "parameter", "tunable", unit, shown, least, most, nominal, start))
     lubricant = interface.lubricant
     if lubricant is not None:
         table += _lubricant(lubricant)

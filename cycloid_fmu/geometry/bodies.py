@@ -9,15 +9,8 @@ from typing import Annotated, Any, Literal
 
 import pydantic
 
-from cycloid_fmu import edge
 from cycloid_fmu.edge import Angle, Config, Length
 from cycloid_fmu.geometry import sizes
-
-
-def _positive(value: float) -> float:
-    if not value > 0.0:
-        raise ValueError("it must be above zero")
-    return value
 
 
 def _near(value: float) -> float:
@@ -27,7 +20,6 @@ def _near(value: float) -> float:
 
 
 _FURTHEST = 5.0
-PositivePressure = Annotated[edge.Pressure, pydantic.AfterValidator(_positive)]
 Coordinate = Annotated[Length, pydantic.AfterValidator(_near)]
 SpanLength = sizes.Width
 MOST_WINDOWS = 120
@@ -58,7 +50,7 @@ class ElasticBody(Config):
         then fits the stiffness. None if it is as stated.
     """
 
-    youngs_modulus: PositivePressure | None = None
+    youngs_modulus: sizes.PositivePressure | None = None
     poissons_ratio: float | None = pydantic.Field(default=None, ge=0.0, lt=0.5)
     matrix: str | None = None
     stiffness_factor: float | None = pydantic.Field(default=None, ge=LEAST_FACTOR, le=LARGEST_FACTOR)

@@ -10,8 +10,9 @@ import numpy as np
 import pydantic
 
 from cycloid_fmu import edge
-from cycloid_fmu.edge import Config, Length
+from cycloid_fmu.edge import Config
 from cycloid_fmu.geometry.friction_values import VALUES
+from cycloid_fmu.geometry.sizes import ABOVE_ZERO, PositiveLength
 
 PARTS = (
     "flank",
@@ -32,12 +33,6 @@ _OF_PLAIN = ("friction", *_COEFFICIENTS, "stribeck_speed")
 _OF_ROLLING = ("load_factor", "speed_factor", "preload")
 
 
-def _positive(value: float) -> float:
-    if not value > 0.0:
-        raise ValueError("it must be above zero")
-    return value
-
-
 def _not_negative(value: float) -> float:
     if not value >= 0.0:
         raise ValueError("it must not be below zero")
@@ -47,10 +42,9 @@ def _not_negative(value: float) -> float:
 LARGEST_COEFFICIENT = 2.0
 Coefficient = Annotated[float, pydantic.Field(ge=0.0, le=LARGEST_COEFFICIENT)]
 Factor = Annotated[float, pydantic.Field(ge=0.0, allow_inf_nan=False)]
-Radius = Annotated[Length, pydantic.AfterValidator(_positive)]
-PositiveSpeed = Annotated[edge.Velocity, pydantic.AfterValidator(_positive)]
-Viscosity = Annotated[edge.KinematicViscosity, pydantic.AfterValidator(_positive)]
-Kelvin = Annotated[edge.Temperature, pydantic.AfterValidator(_positive)]
+PositiveSpeed = Annotated[edge.Velocity, ABOVE_ZERO]
+Viscosity = Annotated[edge.KinematicViscosity, ABOVE_ZERO]
+Kelvin = Annotated[edge.Temperature, ABOVE_ZERO]
 
 
 class Friction(Config):
@@ -118,7 +112,7 @@ class Seat(Friction):
         shell as the "cosine" (κ = 4/π).
     """
 
-    radius: Radius
+    radius: PositiveLength
     pressure: Literal["line", "cosine"] = "line"
 
     @property
@@ -136,8 +130,8 @@ class OutputRoller(Seat):
         r_w of a roller, or of a pin that does not turn, m.
     """
 
-    outer_radius: Radius | None = None
-    radius: Radius | None = None  # type: ignore[assignment]
+    outer_radius: PositiveLength | None = None
+    radius: PositiveLength | None = None  # type: ignore[assignment]
 
     @pydantic.model_validator(mode="after")
     def _turns(self) -> OutputRoller:
@@ -163,11 +157,11 @@ class Bearing(Friction):
         r of a plain bearing, M = μ(v) F r, m.
     """
 
-    mean_diameter: Radius | None = None
+    mean_diameter: PositiveLength | None = None
     load_factor: Factor = 0.0
     speed_factor: Factor = 0.0
     preload: Annotated[edge.Force, pydantic.AfterValidator(_not_negative)] = 0.0
-    radius: Radius | None = None
+    radius: PositiveLength | None = None
 
     @pydantic.model_validator(mode="after")
     def _one_law(self) -> Bearing:

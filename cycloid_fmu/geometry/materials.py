@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+from cycloid_fmu.edge import packaged_rows
 
 CONTACT_YIELD = 1.67
 """Largest pressure of a line contact at first yield below the surface, over the yield strength in tension (Tresca;
@@ -68,141 +70,16 @@ class MaterialValue(NamedTuple):
         return "first yield of a line contact" if self.contact_pressure is None else self.source.split(";")[0]
 
 
-MATERIALS = {
-    "bearing steel": MaterialValue(
-        (205e9, 212e9),
-        0.3,
-        (1.55e9, 1.55e9),
-        (4.0e9, 4.0e9),
-        (610e6, 710e6),
-        (10.5e-6, 12.5e-6),
-        (7780.0, 7850.0),
-        393.15,
-        False,
-        "static load limit of ISO 76; yield: 896 MPa in shear of hardened dowel pins (ASME B18.8.2); fatigue: "
-        "Murakami's formula, 700 HV, inclusions of 20 to 50 µm at the surface; expansion of ISO 3650; 120 °C: rings of "
-        "catalogue bearings",
-    ),
-    "case-hardened steel": MaterialValue(
-        (205e9, 212e9),
-        0.3,
-        (590e6, 635e6),
-        (1.30e9, 1.65e9),
-        (155e6, 260e6),
-        (10.5e-6, 12.5e-6),
-        (7780.0, 7850.0),
-        423.15,
-        False,
-        "endurance limits ML to ME of ISO 6336-5; bending halved from pulsating to an amplitude; yield: core of "
-        "16MnCr5, DIN 17210, 11 to 30 mm",
-    ),
-    "quenched steel": MaterialValue(
-        (205e9, 212e9),
-        0.3,
-        (650e6, 900e6),
-        None,
-        (450e6, 550e6),
-        (10.5e-6, 12.5e-6),
-        (7780.0, 7850.0),
-        423.15,
-        False,
-        "42CrMo4+QT, EN ISO 683-2, up to 100 mm; fatigue: half of the tensile strength (DIN 743-3)",
-    ),
-    "7075-T6": MaterialValue(
-        (71e9, 72e9),
-        0.33,
-        (435e6, 503e6),
-        None,
-        (150e6, 159e6),
-        (23.4e-6, 23.6e-6),
-        (2800.0, 2810.0),
-        373.15,
-        False,
-        "typical values of the Aluminum Association, T73 to T6; fatigue at 5e8 cycles",
-    ),
-    "bronze": MaterialValue(
-        (90e9, 110e9),
-        0.34,
-        (140e6, 150e6),
-        None,
-        None,
-        (18e-6, 19e-6),
-        (8600.0, 8800.0),
-        473.15,
-        False,
-        "CuSn12-C, EN 1982",
-    ),
-    "POM": MaterialValue(
-        (2.7e9, 2.9e9),
-        0.37,
-        (55e6, 67e6),
-        None,
-        (22e6, 34e6),
-        (1.1e-4, 1.2e-4),
-        (1390.0, 1420.0),
-        373.15,
-        True,
-        "data sheets of POM-C, ISO 527 and ISO 11359; fatigue at 1e7 cycles, CES EduPack",
-    ),
-    "sintered PA12": MaterialValue(
-        (1.5e9, 1.7e9),
-        0.4,
-        (42e6, 48e6),
-        None,
-        None,
-        (1.0e-4, 1.2e-4),
-        (930.0, 1000.0),
-        353.15,
-        True,
-        "data sheets of laser-sintered PA12, ISO 527",
-    ),
-    "printed PLA": MaterialValue(
-        (2.5e9, 4.0e9),
-        0.36,
-        (45e6, 65e6),
-        None,
-        None,
-        (6.8e-5, 1.02e-4),
-        (1220.0, 1270.0),
-        323.15,
-        True,
-        "data sheets of printed specimens, ASTM D638 and ISO 527; 50 °C: deflection at 0.45 MPa",
-    ),
-    "printed PETG": MaterialValue(
-        (1.5e9, 3.0e9),
-        0.4,
-        (38e6, 50e6),
-        None,
-        None,
-        (5.9e-5, 8.0e-5),
-        (1250.0, 1290.0),
-        338.15,
-        True,
-        "data sheets of printed specimens, ISO 527; 65 °C: deflection at 0.45 MPa",
-    ),
-    "printed Onyx": MaterialValue(
-        (1.4e9, 2.4e9),
-        0.4,
-        (29e6, 40e6),
-        None,
-        None,
-        (2.2e-5, 2.48e-4),
-        (1180.0, 1220.0),
-        373.15,
-        True,
-        "data sheets of its maker, ASTM D638; expansion in and across the layers, Polymers 13 (2021) 3637",
-    ),
-    "printed tough resin": MaterialValue(
-        (1.6e9, 2.3e9),
-        0.4,
-        (40e6, 46e6),
-        None,
-        None,
-        (9e-5, 1.2e-4),
-        (1100.0, 1200.0),
-        323.15,
-        True,
-        "data sheets of tough resins for stereolithography, ASTM D638, cured",
-    ),
-}
+def _read() -> dict[str, MaterialValue]:
+    """Return the values of `materials.csv`: in SI, a range as its two ends, an empty cell for None."""
+    materials = {}
+    for row in packaged_rows("cycloid_fmu.geometry", "materials.csv"):
+        name, source, creeps = row.pop("name"), row.pop("source"), row.pop("creeps") == "yes"
+        numbers = {key: tuple(map(float, cell.split())) for key, cell in row.items() if cell}
+        values: dict[str, Any] = {**dict.fromkeys(row), **{k: n if len(n) == 2 else n[0] for k, n in numbers.items()}}
+        materials[name] = MaterialValue(**values, creeps=creeps, source=source)
+    return materials
+
+
+MATERIALS = _read()
 """Typical of a class of materials, not of a part: what is made of them states the range."""

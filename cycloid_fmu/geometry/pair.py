@@ -25,6 +25,7 @@ from cycloid_fmu.geometry import temperature as thermal
 from cycloid_fmu.geometry.bodies import Bodies
 from cycloid_fmu.geometry.losses import Losses
 from cycloid_fmu.geometry.materials import MATERIALS, MaterialValue
+from cycloid_fmu.geometry.sizes import ABOVE_ZERO, PositivePressure
 from cycloid_fmu.geometry.supports import Supports
 from cycloid_fmu.geometry.temperature import Expansions, Temperatures
 from cycloid_fmu.geometry.thermal import Thermal
@@ -33,12 +34,6 @@ FORMAT = "cycloid-pair/1"
 LOST_MOTION_LOAD = 0.03  # share of the rated torque (GB/T 40731)
 _SHARE = f"{100.0 * LOST_MOTION_LOAD:g} %"
 LOST_MOTION = f"output angle at +{_SHARE} of the rated torque minus that at -{_SHARE} (GB/T 40731)"
-
-
-def _positive(value: float) -> float:
-    if not value > 0.0:
-        raise ValueError("it must be above zero")
-    return value
 
 
 def _teeth(value: int) -> int:
@@ -57,9 +52,7 @@ _STEEL = 0.1  # share by which Young's modulus of bearing steel differs from tha
 _LARGEST_SHARE = 1.0 / 64.0  # largest modification as a share of the pin circle's radius, if that is more than 1 mm
 LEAST_TEETH, MOST_TEETH = 2, 300
 GearTeeth = Annotated[int, pydantic.Field(strict=True), pydantic.AfterValidator(_teeth)]
-PositiveLength = Annotated[Length, pydantic.AfterValidator(_positive)]
-PositivePressure = Annotated[edge.Pressure, pydantic.AfterValidator(_positive)]
-PositiveTorque = Annotated[edge.Torque, pydantic.AfterValidator(_positive)]
+PositiveTorque = Annotated[edge.Torque, ABOVE_ZERO]
 
 
 class PressureLimit(NamedTuple):
@@ -179,10 +172,9 @@ class _Geometry(Config):
     pressure_limit: PositivePressure | None = None
 
 
-class _File(Config):
-    """A gear pair as drawn; `[errors]` states the errors of the part."""
+class _Tables(Config):
+    """The tables of a file beside `[pair]` and `[errors]`."""
 
-    pair: _Geometry
     modification: Modification = Modification()
     material: Materials = Materials()
     supports: Supports | None = None
@@ -193,7 +185,15 @@ class _File(Config):
     expansion: Expansions = Expansions()
 
 
-class Pair(Config):
+class _Drawn(Config):
+    pair: _Geometry
+
+
+class _File(_Tables, _Drawn):
+    """A gear pair as drawn; `[errors]` states the errors of the part."""
+
+
+class Pair(_Tables, _Geometry):
     """A cycloid-pin gear pair, SI units, validated: it has one more pin than teeth and can be made and assembled.
 
     Pairs with the same values are equal and have the same hash and `text`, however they were made. Lengths and other
@@ -260,25 +260,7 @@ class Pair(Config):
     1.0625; it must stay below 1, so the eccentricity below "1.6 mm".
     """
 
-    gear_teeth: GearTeeth
     pins: int = pydantic.Field(strict=True)
-    pin_circle_radius: sizes.CircleRadius
-    pin_radius: sizes.PinRadius
-    eccentricity: sizes.Eccentricity
-    face_width: sizes.Width
-    discs: int = pydantic.Field(default=1, ge=1, le=4, strict=True)
-    output: Literal["gear", "ring"] = "gear"
-    rated_torque: PositiveTorque | None = None
-    contact_law: Literal["capped", "as_printed"] = "capped"
-    pressure_limit: PositivePressure | None = None
-    modification: Modification = Modification()
-    material: Materials = Materials()
-    supports: Supports | None = None
-    bodies: Bodies | None = None
-    losses: Losses | None = None
-    thermal: Thermal | None = None
-    temperature: Temperatures | None = None
-    expansion: Expansions = Expansions()
     errors: pydantic.InstanceOf[Errors] = Errors()
 
     def __init__(self, /, **values: Any) -> None:
@@ -501,31 +483,24 @@ def _contradictions_of_supports(pair: Pair) -> list[tuple[str, str]]:
     for name in ("misalignment_xz", "misalignment_yz"):
         if getattr(errors, name) != 0.0:
             found.append(("errors", f"{name}: the model of a drive with supports is plane, so it has no misalignment"))
-    cranks = supports.kind == "cranks"
-    if cranks and supports.turning_arm.is_rigid:
-        stated = [k for k in ("hole_x", "hole_y", "crank_x", "crank_y", "crank_throw", "crank_phase") if k in errors]
-        if stated:
-            sentence = f"turning_arm is rigid, so cranks and holes with an error ({stated[0]}) can't be assembled"
-            found.append(("supports", f"{sentence}; state its stiffness or rollers"))
-    if not cranks and (supports.output_roller is None or supports.output_roller.stiffness is None):
-        stated = [
-            k
-            for k in (
-                "eccentricity",
-                "crank_throw",
-                "crank_phase",
-                "hole_x",
-                "hole_y",
-                "roller_x",
-                "roller_y",
-                "hole_radius",
-            )
-            if k in errors
-        ]
-        if stated:
-            sentence = f"output_roller is rigid, so rollers and holes with an error ({stated[0]}) can't be assembled"
-            found.append(("supports", f"{sentence}; state its stiffness"))
+    if supports.kind == "cranks":
+        part, bodies, mend, is_rigid = "turning_arm", "cranks", "stiffness or rollers", supports.turning_arm.is_rigid
+    else:
+        roller = supports.output_roller
+        part, bodies, mend, is_rigid = "output_roller", "rollers", "stiffness", roller is None or not roller.stiffness
+    stated = [key for key in _ASSEMBLED[part] if key in errors]
+    if is_rigid and stated:
+        sentence = f"{part} is rigid, so {bodies} and holes with an error ({stated[0]}) can't be assembled"
+        found.append(("supports", f"{sentence}; state its {mend}"))
     return found
+
+
+_CRANK, _HOLE, _ROLLER = ("crank_throw", "crank_phase"), ("hole_x", "hole_y"), ("roller_x", "roller_y", "hole_radius")
+_ASSEMBLED = {
+    "turning_arm": (*_HOLE, "crank_x", "crank_y", *_CRANK),
+    "output_roller": ("eccentricity", *_CRANK, *_HOLE, *_ROLLER),
+}
+"""Errors with which a drive can't be assembled if this part is rigid."""
 
 
 def _zeros(errors: Mapping[str, Any]) -> dict[str, Any]:
@@ -691,20 +666,12 @@ def pair_of_tables(tables: Mapping[str, Any], source: str, folder: Path | None =
     if not isinstance(stated, Mapping):
         raise edge.InputError(f"{source}: errors = {edge.shown(stated)}: it must be a table, [errors].")
     file, errors = edge.validated(_File, tables, source), Errors(stated, source)
-    geometry = {name: getattr(file.pair, name) for name in _Geometry.model_fields}
+    values: dict[str, Any] = {name: getattr(file.pair, name) for name in _Geometry.model_fields}
+    values |= {name: getattr(file, name) for name in _Tables.model_fields}
+    if file.bodies is not None and folder is not None:
+        values["bodies"] = file.bodies.in_folder(folder)
     try:
-        return Pair(
-            **geometry,
-            modification=file.modification,
-            material=file.material,
-            supports=file.supports,
-            bodies=file.bodies if file.bodies is None or folder is None else file.bodies.in_folder(folder),
-            losses=file.losses,
-            thermal=file.thermal,
-            temperature=file.temperature,
-            expansion=file.expansion,
-            errors=errors,
-        )
+        return Pair(**values, errors=errors)
     except ContradictionError as problem:
         raise edge.InputError(f"{source}: [{problem.table}] {problem}") from None
 

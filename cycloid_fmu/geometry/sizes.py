@@ -10,8 +10,15 @@ from typing import Annotated, Any
 
 import pydantic
 
+from cycloid_fmu import edge
 from cycloid_fmu.edge import Length, format_quantity
 from cycloid_fmu.edge.quantities import EXAMPLES
+
+
+def _positive(value: float) -> float:
+    if not value > 0.0:
+        raise ValueError("it must be above zero")
+    return value
 
 
 def _between(least: float, most: float) -> tuple[pydantic.AfterValidator, Any]:
@@ -27,6 +34,9 @@ def _between(least: float, most: float) -> tuple[pydantic.AfterValidator, Any]:
     return pydantic.AfterValidator(check), pydantic.Field(json_schema_extra=said)
 
 
+ABOVE_ZERO = pydantic.AfterValidator(_positive)
+PositiveLength = Annotated[Length, ABOVE_ZERO]
+PositivePressure = Annotated[edge.Pressure, ABOVE_ZERO]
 CircleRadius = Annotated[Length, *_between(1e-3, 5.0)]
 """Radius of the circle of pins, cranks, output rollers or similar parts."""
 PinRadius = Annotated[Length, *_between(20e-6, 0.5)]

@@ -10,12 +10,7 @@ import pydantic
 from cycloid_fmu import edge
 from cycloid_fmu.edge import Angle, Config, Length
 from cycloid_fmu.geometry import sizes
-
-
-def _positive(value: float) -> float:
-    if not value > 0.0:
-        raise ValueError("it must be above zero")
-    return value
+from cycloid_fmu.geometry.sizes import ABOVE_ZERO
 
 
 def _clearance(value: float) -> float:
@@ -28,10 +23,10 @@ _SMALL_CLEARANCE = 2e-4  # m, allowed in any size; bearings of drives in catalog
 _CLEARANCE_SHARE = 5e-3  # share of the circle's radius, allowed in large drives
 BEARINGS = ("turning_arm", "crank_shaft", "main", "output_roller")
 Clearance = Annotated[Length, pydantic.AfterValidator(_clearance)]
-PositiveForce = Annotated[edge.Force, pydantic.AfterValidator(_positive)]
-TorsionalStiffness = Annotated[edge.TorsionalStiffness, pydantic.AfterValidator(_positive)]
-Stiffness = Annotated[edge.Stiffness, pydantic.AfterValidator(_positive)]
-StiffnessPerWidth = Annotated[edge.Pressure, pydantic.AfterValidator(_positive)]
+PositiveForce = Annotated[edge.Force, ABOVE_ZERO]
+TorsionalStiffness = Annotated[edge.TorsionalStiffness, ABOVE_ZERO]
+Stiffness = Annotated[edge.Stiffness, ABOVE_ZERO]
+StiffnessPerWidth = Annotated[edge.Pressure, ABOVE_ZERO]
 
 
 class Bearing(Config):

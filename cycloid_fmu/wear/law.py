@@ -9,7 +9,8 @@ from typing import Annotated, Literal
 import pydantic
 
 from cycloid_fmu import edge
-from cycloid_fmu.geometry.pair import Pair, PositiveLength
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.geometry.sizes import PositiveLength
 from cycloid_fmu.surfaces.surface import LARGEST_ELEMENT
 
 FORMAT = "cycloid-wear/1"

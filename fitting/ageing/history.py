@@ -13,7 +13,7 @@ import pydantic
 
 from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
-from cycloid_fmu.geometry.pair import PositiveLength
+from cycloid_fmu.geometry.sizes import PositiveLength
 from fitting.ageing.life import FIGURES
 from fitting.ageing.posterior import Measured
 from fitting.estimation.parameter import NORMAL

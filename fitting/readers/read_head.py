@@ -18,7 +18,7 @@ import pydantic
 from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.geometry.pair import PositiveLength
+from cycloid_fmu.geometry.sizes import PositiveLength
 from fitting.readers.recording import Recording
 
 Array = NDArray[np.float64]

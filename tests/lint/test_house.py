@@ -228,8 +228,6 @@ LONG = {
     "cycloid_fmu.cli.analyze.analyze": "its studies of losses and limits are to be one call",
     "cycloid_fmu.contact.deviations.move_to_deviations": _KERNEL,
     "cycloid_fmu.contact.placement._solve_alone": _KERNEL,
-    "cycloid_fmu.fmu.variables._flanges": _TABLE,
-    "cycloid_fmu.fmu.variables._further": _TABLE,
     "cycloid_fmu.fmu.variables.exchanged": _TABLE,
     "cycloid_fmu.supports.balance.settling": "the two kernels of a balance, which it makes for given forces",
     "fitting.estimation.result.result_of": _ESTIMATION,
