@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.resources
 import io
 import json
 import os
@@ -117,7 +116,7 @@ def _tooth(motion: Motion) -> dict[str, Any]:
 
 def motion_page(motion: Motion, load: int = 0, angle: int = 0) -> str:
     """Return the page; `load` and `angle` are the numbers of those shown first."""
-    page = importlib.resources.files("cycloid_fmu.draw").joinpath("drive.html").read_text(encoding="utf-8")
+    page = edge.packaged_text("cycloid_fmu.draw", "drive.html")
     data = json.dumps(page_data(motion, load, angle), separators=(",", ":"), allow_nan=False, ensure_ascii=False)
     return page.replace("/*DATA*/", data.replace("<", "\\u003c"))
 

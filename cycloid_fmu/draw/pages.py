@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from cycloid_fmu import __version__
 from cycloid_fmu.draw.figure import figure_of_names
+from cycloid_fmu.edge import packaged_text
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -25,29 +26,7 @@ CHARACTERS = 110
 _LINES = 62  # lines of text per page
 _MOST_COLUMN = 42  # characters of a table's column but for checksums and definitions
 
-HTML_HEAD = """<!DOCTYPE html>
-<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{{ title }}</title>
-<style>
-body { font: 15px/1.45 system-ui, "Segoe UI", "DejaVu Sans", sans-serif; color: #222; max-width: 960px;
-  margin: 1.5em auto; padding: 0 1em; }
-h1 { font-size: 1.5em; margin: 0; } h2 { font-size: 1.15em; margin: 1.6em 0 .3em; }
-p.facts, p.caption { color: #555; margin: .2em 0 .6em; } p.caption { font-size: .9em; }
-table { border-collapse: collapse; width: 100%; } th { text-align: left; font-weight: 600; }
-th, td { padding: .25em .6em .25em 0; border-bottom: 1px solid #ddd; vertical-align: top; }
-td.number { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
-td.wrapped { white-space: normal; } td.strong { font-weight: 600; }
-tr.part td { color: #555; font-size: .92em; border-bottom-style: dotted; }
-tr.part td:first-child { padding-left: 1.2em; }
-td.definition { font-size: .85em; color: #555; } td.code { font: .8em monospace; word-break: break-all; color: #777; }
-.panel { height: 380px; } section { break-inside: avoid; } li { margin: .2em 0; }
-@media (max-width: 700px) { table { display: block; overflow-x: auto; } td.definition { min-width: 16em; }
-  td.code { word-break: normal; } }
-@media print { body { margin: 0; max-width: none; font-size: 11px; } .panel { height: 300px; }
-  .modebar { display: none; } }
-</style></head><body>
-<h1>{{ title }}</h1><p class="facts">{{ facts }}</p>
-"""
+HTML_HEAD = packaged_text("cycloid_fmu.draw", "report_head.html")
 """Head of an HTML report, a jinja2 template of `title` and `facts`."""
 
 
@@ -92,26 +71,14 @@ class Sentences:
     without: str = ""
 
 
-_TABLE = """<section>{% if title %}<h2>{{ title }}</h2>{% endif %}<table{% if name %} id="{{ name }}"{% endif %}>
-{% if head %}<thead><tr>{% for cell in head %}<th>{{ cell }}</th>{% endfor %}</tr></thead>{% endif %}<tbody>
-{% for row in rows %}<tr{% if row[0][:2] == "  " %} class="part"{% endif %}>
-{%- for cell in row %}{% if loop.first and not head %}<th>{{ cell }}</th>{% else %}<td
-{%- if styles[loop.index0] %} class="{{ styles[loop.index0] }}"{% endif %}>{{ cell }}</td>{% endif %}
-{% endfor %}</tr>{% endfor %}</tbody></table>{% if caption %}<p class="caption">{{ caption }}</p>{% endif %}</section>
-"""
-_SENTENCES = """<section>{% if title %}<h2>{{ title }}</h2>{% endif %}{% if sentences %}<ul id="{{ name }}">
-{% for sentence in sentences %}<li>{{ sentence }}</li>{% endfor %}</ul>{% else %}<p id="{{ name }}">{{ without }}</p>
-{% endif %}</section>
-"""
-
-
 def html_of(part: Table | Sentences) -> Markup:
     """Return a table or a list as HTML, with the characters of its texts escaped."""
     import jinja2
     from markupsafe import Markup
 
-    template = _TABLE if isinstance(part, Table) else _SENTENCES
-    return Markup(jinja2.Environment(autoescape=True).from_string(template).render(vars(part)))
+    name = "report_table.html" if isinstance(part, Table) else "report_sentences.html"
+    template = jinja2.Environment(autoescape=True).from_string(packaged_text("cycloid_fmu.draw", name))
+    return Markup(template.render(vars(part)))
 
 
 def lines_of(part: Table | Sentences) -> list[Line]:

@@ -51,6 +51,7 @@ from cycloid_fmu.edge.files import naming as naming
 from cycloid_fmu.edge.files import number_rows as number_rows
 from cycloid_fmu.edge.files import output_path as output_path
 from cycloid_fmu.edge.files import packaged_rows as packaged_rows
+from cycloid_fmu.edge.files import packaged_text as packaged_text
 from cycloid_fmu.edge.files import read_text as read_text
 from cycloid_fmu.edge.files import toml_table as toml_table
 from cycloid_fmu.edge.files import unit_columns as unit_columns

@@ -250,10 +250,14 @@ def csv_rows(path: str | os.PathLike[str]) -> Iterator[list[str]]:
         yield row
 
 
+def packaged_text(package: str, name: str) -> str:
+    """Return the text of a file that is part of a package."""
+    return importlib.resources.files(package).joinpath(name).read_text(encoding="utf-8")
+
+
 def packaged_rows(package: str, name: str) -> list[dict[str, str]]:
     """Return the rows of a CSV table that is part of a package, each by the names in the header."""
-    text = importlib.resources.files(package).joinpath(name).read_text(encoding="utf-8")
-    return list(csv.DictReader(text.splitlines()))
+    return list(csv.DictReader(packaged_text(package, name).splitlines()))
 
 
 def number_rows(

@@ -11,7 +11,6 @@ import functools
 import hashlib
 import hmac
 import http.server
-import importlib.resources
 import ipaddress
 import re
 import socket
@@ -19,6 +18,8 @@ import threading
 import time
 import urllib.parse
 from typing import Any, ClassVar
+
+from cycloid_fmu.edge.files import packaged_text
 
 CONNECTIONS = 16  # at a time; each has a thread
 REQUEST_SECONDS = 10.0  # for a whole request and its answer
@@ -119,7 +120,7 @@ class PageServer(http.server.ThreadingHTTPServer):
 @functools.cache
 def _page(package: str) -> tuple[bytes, str]:
     """Return a package's page and the content policy that permits only its own script and style."""
-    page = importlib.resources.files(package).joinpath("page.html").read_text(encoding="utf-8")
+    page = packaged_text(package, "page.html")
     own = {}
     for tag in ("script", "style"):
         (text,) = re.findall(f"<{tag}>(.*?)</{tag}>", page, re.DOTALL)

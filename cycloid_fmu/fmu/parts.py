@@ -13,6 +13,7 @@ import numpy as np
 
 from cycloid_fmu import __version__
 from cycloid_fmu.drive_value import DriveValue
+from cycloid_fmu.edge import packaged_text
 from cycloid_fmu.fmu.description import Version
 from cycloid_fmu.fmu.variables import Interface, Variable
 from cycloid_fmu.geometry.pair import Pair
@@ -22,53 +23,14 @@ _FLANGE = "Modelica.Mechanics.Rotational.Interfaces.Flange_"
 _SUPPORT = "Modelica.Mechanics.Rotational.Interfaces.Support"
 _HEAT_PORT = "Modelica.Thermal.HeatTransfer.Interfaces.HeatPort_a"
 DRIVE = "documentation/drive.toml"  # pair file of the FMU's drive
-_PAGE = """<!DOCTYPE html>
-<html lang="en"><head><meta charset="utf-8"><title>Cycloid drive</title>
-<style>body{font-family:sans-serif;max-width:60em;margin:2em auto;padding:0 1em}
-td,th{text-align:left;padding:.15em .8em .15em 0;border-bottom:1px solid #ccc;vertical-align:top}</style></head><body>
-<h1>Cycloid drive {{ g.gear_teeth }}/{{ g.pins }}, {{ interface.kind }} interface</h1>
-<p>Pin circle radius {{ '%g' % (g.pin_circle_radius * 1e3) }} mm, pin radius {{ '%g' % (g.pin_radius * 1e3) }} mm,
-eccentricity {{ '%g' % (g.eccentricity * 1e3) }} mm, ratio {{ '%g' % ratio }}{% if g.discs > 1 %}, {{ g.discs }}
-discs{% endif %}. Made by cycloid-fmu {{ version }}.</p>
-<p>Angles are counter-clockwise; torques are positive into the drive at their flange, as in Modelica.</p>
-{% if interface.kind == "kinematic" %}<p>The drive is quasi-static: a step moves it to the inputs set before it,
-whatever its length. At zero torque the output floats within the backlash until a flank drives it; with friction it
-rests until torque or crank move it.</p>
-{% else %}<p>Both torques are derivatives of one energy stored in the contacts. Between communication points the flanges
-continue at their speeds, so set speeds consistent with the angles. A step longer than <code>largest_step</code> is
-divided internally. {% if interface.output_inertia %}The output's inertia is internal and solved in sub-steps that
-conserve the energy balance; <code>flange_a.tau</code> is the mean over the last step{% elif interface.rotor_alone %}
-The {{ interface.driven }}'s inertia is internal, and the arm is in the host. Before each step set the arm's angle and
-speed, <code>arm_inertia</code> and <code>arm_torque</code>, all at its beginning; after it apply
-&minus;<code>flange_b.tau</code> to the arm over the step, and then give the arm <code>arm_angle</code>{% else
-%}The contacts are stiff:
-with a body of inertia J on the output, the step h must keep h &radic;(k/J) well below 1, with k =
-<code>torsional_stiffness</code>{% endif %}.</p>{% endif %}
-<p>A step that can't be made returns an error with a message and leaves the state unchanged.</p>
-<h2>Variables</h2>
-<table><tr><th>name<th>causality<th>unit<th>meaning</tr>
-{% for v in table %}<tr><td><code>{{ v.name }}</code><td>{{ v.causality }}<td>{{ v.unit or "" }}<td>{{ v.description }}
-</tr>{% endfor %}</table>
-<h2>Friction and losses</h2>
-<p>At each flange the sliding friction torque is (coulomb + load_share |load| + stribeck
-exp(-(w/stribeck_speed)&sup2;) + viscous |w|) exp(-temperature_coefficient (temperature - reference_temperature));
-<code>friction_torque</code> is the output's Coulomb friction. Friction builds up over the presliding angle in springs
-that slip one after the other: it holds a load without creep, and its loops close at their reversals.</p>
-<p><code>loss_table</code> is <code>lossTable</code> of Modelica's LossyGear: speed of flange_a, efficiency from a to b
-and from b to a, friction torque at flange_a in the same two cases; linear between the rows, constant beyond the
-last.{% if interface.lubricant %} The speed is multiplied by the lubricant's viscosity at the present temperature
-over that at <code>lubricant.temperature</code> (ASTM D341).{% endif %}</p>{% if interface.thermal %}
-<p>The temperature of the oil is a state: heat_capacity dT/dt = power_loss + heat_port.Q_flow - (T -
-ambient_temperature)/thermal_resistance.</p>{% endif %}
-</body></html>
-"""
 
 
 def documentation(pair: Pair, interface: Interface, table: Sequence[Variable]) -> str:
     """Return the documentation page (HTML)."""
     import jinja2
 
-    page = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(_PAGE)
+    text = packaged_text("cycloid_fmu.fmu", "documentation.html")
+    page = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(text)
     return page.render(g=pair, ratio=pair.ratio, interface=interface, table=table, version=__version__)
 
 
@@ -80,31 +42,20 @@ def terminals(interface: Interface) -> bytes:
     SubElement(graphical, "CoordinateSystem", {**corners, "suggestedScalingFactorTo_mm": "0.1"})
     SubElement(graphical, "Icon", corners)
     node = SubElement(root, "Terminals")
-    ends = [("flange_a", _FLANGE + "a", f"{interface.driven} side"), ("flange_b", _FLANGE + "b", "output side")]
+    rotational = {"phi": "signal", "w": "signal", "tau": "inflow"}
+    ends = [
+        ("flange_a", _FLANGE + "a", f"{interface.driven} side", rotational),
+        ("flange_b", _FLANGE + "b", "output side", rotational),
+    ]
     if interface.support_flange:
-        ends.append(("support", _SUPPORT, "housing"))
-    for end, kind_of_end, text in ends:
-        flange = SubElement(node, "Terminal", name=end, matchingRule="plug", terminalKind=kind_of_end, description=text)
-        for member, kind in (("phi", "signal"), ("w", "signal"), ("tau", "inflow")):
-            SubElement(
-                flange,
-                "TerminalMemberVariable",
-                variableName=f"{end}.{member}",
-                memberName=member,
-                variableKind=kind,
-            )
+        ends.append(("support", _SUPPORT, "housing", rotational))
     if interface.thermal is not None:
-        port = SubElement(
-            node, "Terminal", name="heat_port", matchingRule="plug", terminalKind=_HEAT_PORT, description="oil"
-        )
-        for member, kind in (("T", "signal"), ("Q_flow", "inflow")):
-            SubElement(
-                port,
-                "TerminalMemberVariable",
-                variableName=f"heat_port.{member}",
-                memberName=member,
-                variableKind=kind,
-            )
+        ends.append(("heat_port", _HEAT_PORT, "oil", {"T": "signal", "Q_flow": "inflow"}))
+    for end, kind_of_end, text, members in ends:
+        port = SubElement(node, "Terminal", name=end, matchingRule="plug", terminalKind=kind_of_end, description=text)
+        for member, kind in members.items():
+            names = {"variableName": f"{end}.{member}", "memberName": member, "variableKind": kind}
+            SubElement(port, "TerminalMemberVariable", names)
     indent(root)
     return bytes(tostring(root, encoding="utf-8", xml_declaration=True))
 

@@ -171,9 +171,12 @@ class Fmu:
             self._raise(f"the step from {time:g} s", problem)
 
     def _raise(self, what: str, problem: Exception) -> NoReturn:
-        # Messages of a Python slave begin with the exception's class.
-        why = re.sub(r"""^\w+\((['"])(.*)\1\)$""", r"\2", self._messages[-1] if self._messages else str(problem))
-        raise edge.InputError(f"{self.path}: {what} was refused: {why.rstrip('.')}.") from None
+        raise edge.InputError(f"{self.path}: {what} was refused: {_reason(self._messages, problem)}.") from None
+
+
+def _reason(messages: Sequence[str], problem: Exception) -> str:
+    """Return what an FMU logged last, without the exception's class with which messages of a Python slave begin."""
+    return re.sub(r"""^\w+\((['"])(.*)\1\)$""", r"\2", messages[-1] if messages else str(problem)).rstrip(".")
 
 
 @contextmanager
@@ -221,10 +224,8 @@ def open_fmu(path: str | os.PathLike[str], inputs: Iterable[str] = (), outputs: 
         try:
             slave.instantiate(loggingOn=True, **logging)
         except Exception as problem:  # fmpy has no specific class
-            why = (
-                re.sub(r"^\w+\((['\"])(.*)\1\)$", r"\2", messages[-1]) if messages else str(problem)
-            )  # strip its class
-            raise edge.InputError(f"{path}: this FMU can't be instantiated: {why.rstrip('.')}.") from None
+            why = _reason(messages, problem)
+            raise edge.InputError(f"{path}: this FMU can't be instantiated: {why}.") from None
         yield Fmu(path, description, slave, messages)
         slave.terminate()
     finally:

@@ -63,10 +63,18 @@ class DriveSlave:
     log_queue: list[Any]
     core: Core
 
-    def _open(self, resources: str, library: str) -> None:
+    def _open(self, resources: str, library: str, experiment: type[Any]) -> None:
         _release_at_exit(Path(resources).parent / "binaries" / library)
         self.core = Core(Path(resources), self.fmi_version)
         self._reals, self._put_all = self.core.reals, self.core.put_all
+        self.author, self.license, self.version = "cycloid-fmu", "MIT", __version__
+        self.description = f"{DESCRIPTION}; {self.core.summary}"
+        step = self.core.interface.step
+        self.default_experiment = experiment(start_time=0.0, stop_time=1.0, step_size=step)
+
+    def _put(self, vrs: Sequence[int], values: Sequence[Any], kind: str) -> None:
+        for refused in self._put_all(vrs, values, kind):
+            self._refuse(refused)
 
     def _refuse(self, message: str) -> None:
         """Log a refusal."""
@@ -133,16 +141,10 @@ class DriveSlave2(DriveSlave, Fmi2Slave):  # type: ignore[misc]
     """Cycloid-pin gear drive with its manufacturing and assembly errors, FMI 2.0."""
 
     fmi_version = "2.0"
-    author = "cycloid-fmu"
-    license = "MIT"
-    version = __version__
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
-        self._open(self.resources, "linux64/pythonfmu-export.so")
-        self.description = f"{DESCRIPTION}; {self.core.summary}"
-        step = self.core.interface.step
-        self.default_experiment = DefaultExperiment(start_time=0.0, stop_time=1.0, step_size=step)
+        self._open(self.resources, "linux64/pythonfmu-export.so", DefaultExperiment)
 
     def _refuse(self, message: str) -> None:
         self.log(message, Fmi2Status.error)
@@ -189,14 +191,12 @@ class DriveSlave2(DriveSlave, Fmi2Slave):  # type: ignore[misc]
     @kept_alive
     def set_integer(self, vrs: Sequence[int], values: Sequence[int]) -> None:
         """Set values by reference."""
-        for refused in self._put_all(vrs, values, "integer"):
-            self._refuse(refused)
+        self._put(vrs, values, "integer")
 
     @kept_alive
     def set_boolean(self, vrs: Sequence[int], values: Sequence[bool]) -> None:
         """Set values by reference."""
-        for refused in self._put_all(vrs, values, "boolean"):
-            self._refuse(refused)
+        self._put(vrs, values, "boolean")
 
     @kept_alive
     def get_string(self, vrs: Sequence[int]) -> list[str]:

@@ -10,8 +10,7 @@ from xml.etree.ElementTree import Element
 from pythonfmu3 import DefaultExperiment, Fmi3Slave, Fmi3StepResult
 from pythonfmu3.enums import Fmi3Status
 
-from cycloid_fmu import __version__
-from cycloid_fmu.fmu.slave import DESCRIPTION, DriveSlave, kept_alive
+from cycloid_fmu.fmu.slave import DriveSlave, kept_alive
 
 
 class DriveSlave3(DriveSlave, Fmi3Slave):  # type: ignore[misc]
@@ -21,11 +20,7 @@ class DriveSlave3(DriveSlave, Fmi3Slave):  # type: ignore[misc]
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
-        self.author, self.license, self.version = "cycloid-fmu", "MIT", __version__
-        self._open(self.resources, "x86_64-linux/CycloidDrive.so")
-        self.description = f"{DESCRIPTION}; {self.core.summary}"
-        step = self.core.interface.step
-        self.default_experiment = DefaultExperiment(start_time=0.0, stop_time=1.0, step_size=step)
+        self._open(self.resources, "x86_64-linux/CycloidDrive.so", DefaultExperiment)
 
     def _refuse(self, message: str) -> None:
         self.log(message, Fmi3Status.error)
@@ -79,10 +74,6 @@ class DriveSlave3(DriveSlave, Fmi3Slave):  # type: ignore[misc]
     def set_boolean(self, vrs: Sequence[int], values: Sequence[bool]) -> None:
         """Set values by reference."""
         self._put(vrs, values, "boolean")
-
-    def _put(self, vrs: Sequence[int], values: Sequence[Any], kind: str) -> None:
-        for refused in self._put_all(vrs, values, kind):
-            self._refuse(refused)
 
     @kept_alive
     def _get_none(self, vrs: Sequence[int]) -> list[Any]:

@@ -290,14 +290,18 @@ def stiffness_text(pair: Pair, interface: Interface) -> str:
     return text
 
 
-@functools.cache
-def _listed() -> dict[str, Variable]:
-    """Return the variables of `variables.csv` by name; an empty cell is the default of `Variable`."""
+def listed_variables(package: str) -> dict[str, Variable]:
+    """Return the variables of a package's `variables.csv` by name; an empty cell is the default of `Variable`."""
     numbers, listed = ("least", "most", "nominal", "start"), dict[str, Variable]()
-    for row in packaged_rows("cycloid_fmu.fmu", "variables.csv"):
+    for row in packaged_rows(package, "variables.csv"):
         stated: dict[str, Any] = {key: float(cell) if key in numbers else cell for key, cell in row.items() if cell}
         listed[row["name"]] = Variable(**{"description": "", "causality": "local", **stated})
     return listed
+
+
+@functools.cache
+def _listed() -> dict[str, Variable]:
+    return listed_variables("cycloid_fmu.fmu")
 
 
 def _variable(name: str, of: str = "", **changes: Any) -> Variable:
@@ -647,41 +651,26 @@ def exchanged(
     of_start = (*inputs, *parameters) if moved else inputs
     more = []
 
-    def add(name: str, text: str, unit: str, of: str | None, nominal: float, depends: tuple[str, ...] = ()) -> None:
-        more.append(
-            Variable(
-                name, text, "local", unit=unit, nominal=nominal, depends=depends, initially=of_start, derivative_of=of
-            )
-        )
+    def add(variable: Variable, depends: tuple[str, ...] = ()) -> None:
+        more.append(dataclasses.replace(variable, depends=depends, initially=of_start))
 
     if interface.crank_inertia > 0.0:
-        add(
-            "flange_a.a",
-            f"{interface.driven} acceleration",
-            "rad/s2",
-            "flange_a.w",
-            1e3,
-            (*moving, *crank, "flange_a.tau"),
-        )
+        add(_variable("flange_a.a", interface.driven), (*moving, *crank, "flange_a.tau"))
     if inside:
-        add(
-            "transmission_error_rate",
-            f"output speed minus {interface.driven} speed/ratio",
-            "rad/s",
-            "transmission_error",
-            0.1,
-            ("flange_a.w", "flange_b.w"),
-        )
-        add("flange_b.a", "output acceleration", "rad/s2", "flange_b.w", 100.0, (*moving, *output, "flange_b.tau"))
+        add(_variable("transmission_error_rate", interface.driven), ("flange_a.w", "flange_b.w"))
+        add(_variable("flange_b.a"), (*moving, *output, "flange_b.tau"))
     for flange, law, end in zip(FLANGES if dynamic else (), interface.laws, "ab", strict=False):
         for name in _strains(flange):
-            add(name, f"strain of a friction element at flange_{end}", "rad", None, law.presliding_angle)
+            text = f"strain of a friction element at flange_{end}"
+            add(Variable(name, text, "local", unit="rad", nominal=law.presliding_angle))
         for name, strain in zip(_strains(flange, "_rate"), _strains(flange), strict=True):
-            add(name, f"strain rate of a friction element at flange_{end}", "rad/s", strain, 0.1, (*moving, strain))
+            text = f"strain rate of a friction element at flange_{end}"
+            rate = Variable(name, text, "local", unit="rad/s", nominal=0.1, derivative_of=strain)
+            add(rate, (*moving, strain))
     if heat:
         flows = ("heat_port.Q_flow", "ambient_temperature")
         heating = (*moving, *crank, *output, *flows) if dynamic else (*inputs, *heat)
-        add("heat_port.T_rate", "rate of the oil's temperature", "K/s", HEAT_STATE, 1e-2, heating)
+        add(_variable("heat_port.T_rate"), heating)
     depends = {
         "flange_a.tau": (*moving, *crank),
         "power_loss": (*moving, *crank, *output),

@@ -243,62 +243,8 @@ def mjcf_play(joint: Joint, values: Mapping[str, float | None], arm_inertia: flo
     return _mujoco(_comment(lines), hinges, tendons + _motor(values, "drive"), arm_inertia)
 
 
-MUJOCO_ROWS = '''"""Put a row of a joint's draws into a MuJoCo model. {lacks}"""
-
-import csv
-
-import mujoco
-
-
-def rows(path="draws.csv"):
-    """Values by name of each row; row 0 is the most likely."""
-    with open(path, newline="", encoding="utf-8") as file:
-        return [{{name: float(value) for name, value in row.items()}} for row in csv.DictReader(file)]
-
-
-VALUES = {values}
-
-
-def set_row(model, data, row):
-    """Set armature, friction and, if the model has it, play and stiffness to those of a row."""
-    of = {{**VALUES, **row}}
-    ratio = abs(of["ratio"])
-    dry = ratio * of.get("friction.motor.coulomb", 0.0), of.get("friction.output.coulomb", 0.0)
-    model.actuator_armature[model.actuator("motor").id] = of["rotor_inertia"]
-    names = [model.joint(k).name for k in range(model.njnt)]
-    if "play" in names:
-        spring, output = model.tendon("spring").id, model.tendon("output").id
-        model.joint("drive").frictionloss, model.tendon_frictionloss[output] = dry
-        model.tendon_lengthspring[spring] = -0.5 * of["play"], 0.5 * of["play"]
-        model.tendon_stiffness[spring] = stiffness(of)
-    else:
-        model.joint("arm").frictionloss = sum(dry)
-    mujoco.mj_setConst(model, data)
-
-
-def stiffness(of):
-    """From half to full rated torque, N·m/rad."""
-    points = []
-    while f"stiffness.{{len(points)}}.torque" in of:
-        points.append((of[f"stiffness.{{len(points)}}.torque"], of[f"stiffness.{{len(points)}}.windup"]))
-    rated = of["rated_torque"]
-
-    def windup(load):
-        k = next((k for k in range(1, len(points) - 1) if load <= points[k][0]), len(points) - 1)
-        (low, start), (high, end) = points[k - 1], points[k]
-        return start + (load - low) * (end - start) / (high - low)
-
-    return 0.5 * rated / (windup(rated) - windup(0.5 * rated))
-
-
-if __name__ == "__main__":
-    model = mujoco.MjModel.from_xml_path("{model}")
-    data = mujoco.MjData(model)
-    for row in rows():
-        mujoco.mj_resetData(model, data)
-        set_row(model, data, row)
-        mujoco.mj_step(model, data)
-'''
+MUJOCO_ROWS = edge.packaged_text("cycloid_fmu.joint", "mujoco_rows.txt")
+"""Script that puts rows of the draws into a MuJoCo model, a format string."""
 
 
 def _link(arm_inertia: float) -> str:
@@ -353,54 +299,8 @@ def drake(joint: Joint, values: Mapping[str, float | None], arm_inertia: float) 
     )
 
 
-ISAAC = '''"""A cycloid joint in Isaac Lab 3.
-
-{lacks}
-"""
-
-import torch
-from isaaclab.actuators import ImplicitActuatorCfg
-from isaaclab.managers import EventTermCfg, SceneEntityCfg
-
-JOINT = "arm"
-PROPERTIES = dict(
-{properties}
-)
-
-
-def actuator(stiffness, damping):
-    """The actuator with the gains of your controller, N·m/rad and N·m·s/rad at the arm."""
-    return ImplicitActuatorCfg(joint_names_expr=[JOINT], stiffness=stiffness, damping=damping, **PROPERTIES)
-
-
-# For isaaclab.envs.mdp.randomize_joint_parameters, which draws each for itself.
-RANGES = {ranges}
-
-# armature, friction, dynamic friction, viscous friction of each draw; row 0 is the most likely.
-ROWS = {rows}
-
-
-def pick_row(env, env_ids, asset_cfg):
-    """Give each environment a row of the draws: what belongs together stays together."""
-    asset = env.scene[asset_cfg.name]
-    if env_ids is None:
-        env_ids = torch.arange(env.scene.num_envs, device=asset.device)
-    rows = torch.tensor(ROWS, device=asset.device)
-    armature, friction, dynamic, viscous = rows[torch.randint(len(rows), (len(env_ids),))].T[:, :, None]
-    there = dict(joint_ids=asset_cfg.joint_ids, env_ids=env_ids)
-    asset.write_joint_armature_to_sim_index(armature=armature, **there)
-    asset.write_joint_friction_coefficient_to_sim_index(
-        joint_friction_coeff=friction,
-        joint_dynamic_friction_coeff=dynamic,
-        joint_viscous_friction_coeff=viscous,
-        **there,
-    )
-
-
-PICK_ROW = EventTermCfg(
-    func=pick_row, mode="startup", params={{"asset_cfg": SceneEntityCfg("robot", joint_names=[JOINT])}}
-)
-'''
+ISAAC = edge.packaged_text("cycloid_fmu.joint", "isaac.txt")
+"""Module of an actuator of Isaac Lab, a format string."""
 
 
 def isaac(joint: Joint, values: Mapping[str, float | None], arm_inertia: float) -> str:

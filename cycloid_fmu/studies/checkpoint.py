@@ -126,6 +126,18 @@ class Checkpoint:
         self.done[number] = True
         self.notes |= {number: note} if note else {}
 
+    @contextlib.contextmanager
+    def counted_at_interrupt(self) -> Iterator[None]:
+        """Give an interrupt a text: how many drives are solved, and what keeps them."""
+        try:
+            yield
+        except KeyboardInterrupt:
+            where = "nothing is kept without an output"
+            if self.path is not None:
+                where = f"{self.path} keeps them; the same study continues from there"
+            done, drives = np.count_nonzero(self.done), self.done.size
+            raise KeyboardInterrupt(f"Interrupted: {done} of {drives} drives are done; {where}.") from None
+
     def add(self, numbers: NDArray[np.int64], values: Array, notes: Sequence[str] = ()) -> None:
         """Keep the figures of drives, shape (drives, columns), NaN if there are none, and a note on each, or none."""
         rows = [*zip(numbers.tolist(), values.tolist(), notes or [""] * len(numbers), strict=True)]

@@ -98,16 +98,19 @@ def complete(
     ------
     edge.InputError
         If the scheduler does not answer, or a worker has other versions.
+    KeyboardInterrupt
+        Its text states how many drives are solved, and what keeps them.
     """
     import joblib
 
-    if kept.done.any():
-        progress(int(np.count_nonzero(kept.done)))
-    while (waiting := np.flatnonzero(~kept.done)).size:
-        parts = (waiting[first : first + together] for first in range(0, waiting.size, together))
-        tasks = (joblib.delayed(_checked)(task, versions(), *arguments(part)) for part in parts)
-        # joblib gives up where a worker is lost with results that it has not sent: the others solve what is missing.
-        with contextlib.suppress(CancelledError), _machines(workers, scheduler) as parallel:
-            for solved in parallel(tasks):
-                kept.add(*solved)
-                progress(len(solved[0]))
+    with kept.counted_at_interrupt():
+        if kept.done.any():
+            progress(int(np.count_nonzero(kept.done)))
+        while (waiting := np.flatnonzero(~kept.done)).size:
+            parts = (waiting[first : first + together] for first in range(0, waiting.size, together))
+            tasks = (joblib.delayed(_checked)(task, versions(), *arguments(part)) for part in parts)
+            # joblib gives up where a worker is lost with results not sent: the others solve what is missing.
+            with contextlib.suppress(CancelledError), _machines(workers, scheduler) as parallel:
+                for solved in parallel(tasks):
+                    kept.add(*solved)
+                    progress(len(solved[0]))

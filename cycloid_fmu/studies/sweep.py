@@ -224,10 +224,6 @@ def _task(sweep: Sweep, numbers: Numbers) -> Solved:
     return numbers, np.array(values), reasons
 
 
-class Interrupted(KeyboardInterrupt):
-    """A sweep was interrupted; the text states the kept results."""
-
-
 def run(
     sweep: Sweep,
     output: str | os.PathLike[str] | None = None,
@@ -251,19 +247,12 @@ def run(
     ------
     edge.InputError
         If the sweep is invalid or the checkpoint is that of another one.
-    Interrupted
-        At a KeyboardInterrupt; its text states the kept results.
+    KeyboardInterrupt
+        As `machines.complete`.
     """
     check_sweep(sweep)
     kept = Checkpoint(None if output is None else checkpoint_of(output), sweep)
-    try:
-        complete(kept, _task, lambda numbers: (sweep, numbers), together=1, workers=workers, progress=progress)
-    except KeyboardInterrupt:
-        where = "nothing is kept without an output"
-        if kept.path is not None:
-            where = f"{kept.path} keeps them; the same sweep goes on from there"
-        done = np.count_nonzero(kept.done)
-        raise Interrupted(f"Interrupted: {done} of {sweep.drives} drives are done; {where}.") from None
+    complete(kept, _task, lambda numbers: (sweep, numbers), together=1, workers=workers, progress=progress)
     return _dataset(sweep, kept.values, [kept.notes.get(k, "") for k in range(sweep.drives)])
 
 

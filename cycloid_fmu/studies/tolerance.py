@@ -147,12 +147,7 @@ class Study:
             "turns": self.turns,
             "versions": versions(),
             **({} if self.first_stage is None else {"first_stage": self.first_stage.text}),
-            **(
-                {"duty": [[*load.model_dump().values()] for load in self.driven]}
-                if "efficiency" in self.friction
-                else {}
-            ),
-        }
+        } | ({"duty": [[*load.model_dump().values()] for load in self.driven]} if "efficiency" in self.friction else {})
 
 
 def check_study(study: Study, pair_source: str, tolerances_source: str) -> None:
@@ -390,7 +385,7 @@ def _task(study: Study, numbers: Numbers, rows: Array) -> Solved:
 
 @dataclasses.dataclass(frozen=True)
 class Result:
-    """The solved samples of a study, all or those that were done when it was interrupted.
+    """The solved samples of a study, all or some of them.
 
     Attributes
     ----------
@@ -444,39 +439,21 @@ def run(
 
     Raises
     ------
-    Interrupted
-        At a KeyboardInterrupt; it holds the samples that were finished.
+    KeyboardInterrupt
+        As `machines.complete`.
     """
-    kept = checkpoint or Checkpoint(None, study)
+    solved = checkpoint or Checkpoint(None, study)
     place = points(study)
-
-    def result() -> Result:
-        return Result(study, kept.values[kept.done], np.flatnonzero(kept.done))
-
-    try:
-        complete(
-            kept,
-            _task,
-            lambda numbers: (study, numbers, place[numbers]),
-            together=1 if _is_alone(study) else LANES if scheduler is None else TOGETHER,
-            workers=workers,
-            scheduler=scheduler,
-            progress=progress,
-        )
-    except KeyboardInterrupt:
-        raise Interrupted(result(), study.drives, checkpoint) from None
-    return result()
-
-
-class Interrupted(KeyboardInterrupt):
-    """A study was interrupted; `result` holds the samples that were finished."""
-
-    def __init__(self, result: Result, size: int, checkpoint: Checkpoint | None) -> None:
-        kept = "nothing is kept without an output"
-        if checkpoint is not None:
-            kept = f"{checkpoint.path} keeps them; the same study continues from there"
-        super().__init__(f"Interrupted: {result.sample.size} of {size} drives are done; {kept}.")
-        self.result = result
+    complete(
+        solved,
+        _task,
+        lambda numbers: (study, numbers, place[numbers]),
+        together=1 if _is_alone(study) else LANES if scheduler is None else TOGETHER,
+        workers=workers,
+        scheduler=scheduler,
+        progress=progress,
+    )
+    return Result(study, solved.values, np.arange(study.drives))
 
 
 def statistics(result: Result) -> dict[str, dict[str, Any]]:

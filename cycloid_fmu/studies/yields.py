@@ -176,8 +176,8 @@ def conduct(
     ------
     edge.InputError
         If the checkpoint is of another study.
-    Interrupted
-        At a KeyboardInterrupt; its text states the kept results.
+    KeyboardInterrupt
+        Its text states the kept results.
     """
     kept = None
     with reserved(output):

@@ -356,7 +356,7 @@ def test_interrupted_it_says_what_is_kept(tmp_path):
         raise KeyboardInterrupt
 
     with pytest.raises(
-        KeyboardInterrupt, match=r"1 of 3 drives are done; .*t.csv.checkpoint keeps them; the same sweep"
+        KeyboardInterrupt, match=r"1 of 3 drives are done; .*t.csv.checkpoint keeps them; the same study"
     ):
         DRIVE.sweep({"pin_radius": "2.9:3.1:3 mm"}, 100, tmp_path / "t.csv", progress=stop, **FEW)
     with pytest.raises(KeyboardInterrupt, match="nothing is kept without an output"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import html
 import os
@@ -17,56 +18,24 @@ from cycloid_fmu.fmu.description import Version, model_structure, model_variable
 from cycloid_fmu.fmu.library import SOURCES, source_files
 from cycloid_fmu.fmu.parts import licences, write_archive
 from cycloid_fmu.fmu.resource_file import COMPENSATOR, sealed
-from cycloid_fmu.fmu.variables import Variable
+from cycloid_fmu.fmu.variables import Variable, listed_variables
 
 IDENTIFIER = "CycloidCompensator"
 _STEP = 1e-3  # s, of the default experiment
-_INPUTS = (
-    Variable("desired_angle", "of the output", "input", unit="rad", display="deg", start=0.0),
-    Variable("desired_speed", "of the output", "input", unit="rad/s", display="rev/min", start=0.0),
-    Variable("load_torque", "of the environment on the output, inertia included", "input", unit="N.m", start=0.0),
-    Variable("temperature", "of the drive", "input", unit="K", start=REFERENCE_TEMPERATURE),
-    Variable("motor_angle_measured", "reading of the motor's encoder", "input", unit="rad", display="deg", start=0.0),
-    Variable("output_angle_measured", "reading of the output's encoder", "input", unit="rad", display="deg", start=0.0),
-    Variable("output_measured", "whether both readings are valid now", "input", "discrete", start=0.0, kind="boolean"),
-)
-_INDEX = (
-    Variable(
-        "index",
-        "crank angle of the model where the desired output angle is 0",
-        "parameter",
-        "fixed",
-        unit="rad",
-        display="deg",
-        start=0.0,
-    ),
-    Variable(
-        "index_probability",
-        "that the index is right and the drive is this one, 0 to 1",
-        "parameter",
-        "fixed",
-        unit="1",
-        start=0.0,
-    ),
-)
-_OUTPUTS = (
-    ("motor_angle", "command for the motor", "rad", "deg"),
-    ("motor_speed", "speed of that command", "rad/s", "rev/min"),
-    ("band", "standard deviation of the output angle from the desired one", "rad", "arcsec"),
-    ("gain", "gain of the part that depends on the crank angle, 0 to 2", "1", None),
-)
 
 
 def variables(version: Version) -> tuple[Variable, ...]:
     """Return the FMU's variables, in the order of `compensator_model.c`; the index is the value reference."""
+    listed = listed_variables("cycloid_fmu.compensation.forms")
+    listed["temperature"] = dataclasses.replace(listed["temperature"], start=REFERENCE_TEMPERATURE)
+    inputs, parameters = (
+        tuple(name for name, v in listed.items() if v.causality == causality) for causality in ("input", "parameter")
+    )
+    for name, variable in listed.items():
+        if variable.causality == "output":
+            listed[name] = dataclasses.replace(variable, depends=inputs, initially=parameters)
     time = () if version == "2.0" else (Variable("time", "time", "independent", unit="s"),)
-    known = {"depends": tuple(v.name for v in _INPUTS), "initially": tuple(v.name for v in _INDEX)}
-    outputs = [
-        Variable(name, text, "output", unit=unit, display=display, **known)  # type: ignore[arg-type]
-        for name, text, unit, display in _OUTPUTS
-    ]
-    holds = Variable("holds", "whether the model is valid", "output", "discrete", kind="boolean", **known)  # type: ignore[arg-type]
-    return (*_INPUTS, *_INDEX, *outputs, holds, *time)
+    return (*listed.values(), *time)
 
 
 def build_compensator_fmu(
