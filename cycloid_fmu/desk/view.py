@@ -23,7 +23,7 @@ from cycloid_fmu.draw.drive_svg import drive_svg, tooth_svg
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.edge.quantities import EXAMPLES
 from cycloid_fmu.geometry import ANGLES
-from cycloid_fmu.geometry.pair import FORMAT, LARGEST_PRESSURE, Modification, Pair, pair_of_tables
+from cycloid_fmu.geometry.pair import FORMAT, LARGEST_PRESSURE, Modification, Pair, PairTables, pair_of_tables
 from cycloid_fmu.losses import figures as losses
 from cycloid_fmu.losses.back_driving import back_driving
 from cycloid_fmu.losses.solver import solve as rub
@@ -44,17 +44,7 @@ from cycloid_fmu.surfaces.surface import surface_of_pair
 Array = NDArray[np.float64]
 _EACH_PITCH = 24  # crank angles of the curves in a pin pitch
 _WITHOUT_FIELD = ("contact_law",)  # for comparison with papers
-_TABLES = (
-    "modification",
-    "material",
-    "supports",
-    "bodies",
-    "losses",
-    "thermal",
-    "temperature",
-    "expansion",
-    "errors",
-)
+_TABLES = (*PairTables.model_fields, "errors")
 _PLACE = re.compile(r"(\[(?:pair|modification)\] )?(\w+)(?: = | is missing)")
 
 
@@ -315,15 +305,12 @@ def look(desk: Desk, values: Mapping[str, str]) -> View:
         for the rated torque, or otherwise the first of the duty) and `crank_angle` of the drawing. Figures are those of
         `Drive.analyze` of the pair file with these values; curves have the same crank angles in each pin pitch.
     """
-    problems, torque, angle, pair = dict[str, str](), list[float](), 0.0, None
-    try:
-        angle = _quantity(values, "crank_angle", "rad") if values.get("crank_angle", "").strip() else 0.0
-    except edge.InputError as problem:
-        problems |= placed(desk, problem)
-    try:
-        torque = [_quantity(values, "torque", "N*m")] if values.get("torque", "").strip() else []
-    except edge.InputError as problem:
-        problems |= placed(desk, problem)
+    problems, given, pair = dict[str, str](), dict[str, float](), None
+    for key, unit in (("crank_angle", "rad"), ("torque", "N*m")):
+        try:
+            given |= {key: _quantity(values, key, unit)} if values.get(key, "").strip() else {}
+        except edge.InputError as problem:
+            problems |= placed(desk, problem)
     try:
         pair = pair_of(desk, values)
         if desk.requirements is not None:
@@ -333,7 +320,7 @@ def look(desk: Desk, values: Mapping[str, str]) -> View:
     if problems or pair is None:
         return View(problems)
     try:
-        return _solved(desk, pair, torque, angle)
+        return _solved(desk, pair, [given["torque"]] if "torque" in given else [], given.get("crank_angle", 0.0))
     except edge.InputError as problem:
         return View(placed(desk, problem))
 
@@ -373,12 +360,7 @@ def _swept(
     surface, workers = surface_of_pair(pair), os.cpu_count() or 1
     turn = np.linspace(0.0, 2.0 * np.pi, ANGLES, endpoint=False)
     found = solve(DriveValue(pair, surface), loads, turn, workers=workers)
-    curves = solve(
-        DriveValue(pair, surface),
-        loads[:1],
-        mesh_angles(pair.pins, _EACH_PITCH),
-        workers=workers,
-    )
+    curves = solve(DriveValue(pair, surface), loads[:1], mesh_angles(pair.pins, _EACH_PITCH), workers=workers)
     return found, curves, judge_sweep(DriveValue(pair, surface), asked, found, workers, series)
 
 

@@ -127,8 +127,7 @@ def draw_drive(axis: Axes, motion: Motion, load: int = 0, angle: int = 0) -> Non
     _draw_forces(axis, motion, load, angle)
     if motion.force[load, angle].any():
         _draw_scales(axis, motion, load, angle, rim)
-    axis.set(xlim=(-1.04 * rim, 1.04 * rim), ylim=(-1.09 * rim, 1.04 * rim))
-    axis.set_aspect("equal")
+    axis.set(xlim=(-1.04 * rim, 1.04 * rim), ylim=(-1.09 * rim, 1.04 * rim), aspect="equal")
     axis.set_axis_off()
 
 
@@ -281,8 +280,7 @@ def draw_tooth(axis: Axes, motion: Motion) -> None:
     flat = found.curves[0].points * 1e3
     bottom = flat.imag.min() - 1.3 * np.ptp(flat.imag)
     axis.fill_between(flat.real, bottom, flat.imag, color=STEEL, lw=0)
-    axis.set(xlabel="[mm]", ylabel="[mm]", ylim=(bottom, flat.imag.max() + 0.3))
-    axis.set_aspect("equal")
+    axis.set(xlabel="[mm]", ylabel="[mm]", ylim=(bottom, flat.imag.max() + 0.3), aspect="equal")
     axis.set_title(found.title, fontsize=9)
     show_legend(axis, loc="lower center", fontsize=8, framealpha=0.0)
 

@@ -35,17 +35,14 @@ def plot_losses(found: LossFigures) -> Figure:
     axes[1].set_ylabel("N·m")
     for load, each in found.starting.items():
         axes[2].plot(angle, each, label=f"against {load:g} N·m" if load else "without load")
-    axes[2].set_title("Torque of the input that starts the drive from rest")
-    axes[2].set_ylabel("N·m")
+    axes[2].set(title="Torque of the input that starts the drive from rest", ylabel="N·m")
     locked = np.isnan(found.back_driving)
     if not locked.all():
         axes[3].plot(angle, found.back_driving, color="C3", label="from rest")
     if locked.any():
         height = np.full(locked.sum(), found.searched_to)
         axes[3].plot(angle[locked], height, ".", color="C7", label=f"none up to {found.searched_to:g} N·m")
-    axes[3].set_title("Torque on the output that turns the drive backwards")
-    axes[3].set_ylabel("N·m")
-    axes[3].set_xlabel("crank angle, °")
+    axes[3].set(title="Torque on the output that turns the drive backwards", ylabel="N·m", xlabel="crank angle, °")
     for axis in axes[2:]:
         axis.set_ylim(0.0, 1.2 * axis.dataLim.y1 or 1.0)
     for axis in axes[1:]:
@@ -94,12 +91,10 @@ def plot_heat(warm: Sequence[Heat]) -> Figure:
     thermal = warm[0].thermal
     oil = np.array([thermal.ambient, max([thermal.ambient + 1.0, *(each.scanned.max(initial=0.0) for each in warm)])])
     axes[0].plot(oil - _ICE, (oil - thermal.ambient) / thermal.whole, "k--", lw=1, label="given off")
-    axes[0].set_title("Heat made and given off; steady where they meet")
-    axes[0].set_xlabel("temperature of the oil, °C")
+    axes[0].set(title="Heat made and given off; steady where they meet", xlabel="temperature of the oil, °C")
     axes[0].set_ylabel("W")
     if timed:
-        axes[1].set_title("Warming up from the surroundings; dots: 63 and 95 % of the rise")
-        axes[1].set_xlabel("h")
+        axes[1].set(title="Warming up from the surroundings; dots: 63 and 95 % of the rise", xlabel="h")
         axes[1].set_ylabel("temperature of the oil, °C")
     if thermal.largest is not None:
         axes[0].axvline(thermal.largest - _ICE, color="r", lw=1, label="largest permissible")
@@ -126,7 +121,5 @@ def plot_map(found: EfficiencyMap) -> Figure:
             axis.contourf(*place, shown, [-np.inf, 0.0], colors="none", hatches=["///"])
         figure.colorbar(filled, ax=axis, label="efficiency, %")
         hatched = ", hatched: self-locking" if (shown <= 0.0).any() else ""
-        axis.set_title(f"{mode}{hatched}")
-        axis.set_xlabel("torque on the output, N·m")
-        axis.set_ylabel("speed of the crank, rpm")
+        axis.set(title=f"{mode}{hatched}", xlabel="torque on the output, N·m", ylabel="speed of the crank, rpm")
     return figure

@@ -45,8 +45,7 @@ def plot_profile(profile: Profile) -> Figure:
         share = np.where(flat, along, np.sin(along * safe) / np.sin(safe))
         curve = (start + (np.roll(start, -1) - start) * share * np.exp(1j * (along - 1.0) * half)).T.ravel() * 1e3
         whole.plot(np.append(curve, curve[0]).real, np.append(curve, curve[0]).imag, color="C3", lw=0.7)
-    whole.set(xlabel="x [mm]", ylabel="y [mm]", title="at crank angle 0")
-    whole.set_aspect("equal")
+    whole.set(xlabel="x [mm]", ylabel="y [mm]", title="at crank angle 0", aspect="equal")
     show_legend(whole, loc="center")
     first = table["tooth"] == 0.0
     second = profile.teeth[1]

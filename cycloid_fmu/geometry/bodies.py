@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import pydantic
 
@@ -50,6 +50,8 @@ class ElasticBody(Config):
         then fits the stiffness. None if it is as stated.
     """
 
+    DIMENSIONS: ClassVar[tuple[str, ...]] = ()
+    """Keys that a body without a matrix needs."""
     youngs_modulus: sizes.PositivePressure | None = None
     poissons_ratio: float | None = pydantic.Field(default=None, ge=0.0, lt=0.5)
     matrix: str | None = None
@@ -61,14 +63,16 @@ class ElasticBody(Config):
         """Factor on the influence by its dimensions or its matrix."""
         return 1.0 if self.stiffness_factor is None else 1.0 / self.stiffness_factor
 
-    def _check_stated(self, *keys: str) -> None:
+    @pydantic.model_validator(mode="after")
+    def _stated_once(self) -> Self:
         """Raise a `ValueError` that names the first of the dimensions that is missing without a matrix."""
-        missing = [key for key in keys if getattr(self, key) is None]
+        missing = [key for key in self.DIMENSIONS if getattr(self, key) is None]
         if missing and self.matrix is None:
             raise ValueError(f"{missing[0]} is missing; state it, or the file of a matrix")
-        stated = [key for key in keys if getattr(self, key) is not None]
+        stated = [key for key in self.DIMENSIONS if getattr(self, key) is not None]
         if stated and self.matrix is not None:
             raise ValueError(f"it is stated by matrix and {stated[0]}; state one of them")
+        return self
 
 
 class Window(Config):
@@ -180,6 +184,7 @@ class DiscBody(ElasticBody):
         Further holes.
     """
 
+    DIMENSIONS = ("bore_radius",)
     matrix: str | Annotated[tuple[str, ...], pydantic.Field(min_length=1)] | None = None  # type: ignore[assignment]
     plane: Literal["stress", "strain"] = "stress"
     bore_radius: sizes.Dimension | None = None
@@ -194,7 +199,6 @@ class DiscBody(ElasticBody):
 
     @pydantic.model_validator(mode="after")
     def _dimensions(self) -> DiscBody:
-        self._check_stated("bore_radius")
         for name in ("centre_radius", "roller_hole_radius", "windows"):
             if self.matrix is not None and getattr(self, name):
                 raise ValueError(f"it is stated by matrix and {name}; state one of them")
@@ -214,14 +218,10 @@ class PinBody(ElasticBody):
         Its diameter, m; None for twice the pin radius.
     """
 
+    DIMENSIONS = ("ends", "span")
     ends: Literal["supported", "clamped"] | None = None
     span: SpanLength | None = None
     diameter: sizes.Dimension | None = None
-
-    @pydantic.model_validator(mode="after")
-    def _dimensions(self) -> PinBody:
-        self._check_stated("ends", "span")
-        return self
 
 
 class Section(Config):
@@ -261,12 +261,12 @@ class CrankBody(ElasticBody):
         Pieces of the shaft, without gaps, from the first bearing or disc to the last.
     """
 
+    DIMENSIONS = ("bearings", "sections")
     bearings: tuple[Coordinate, Coordinate] | None = None
     sections: Annotated[tuple[Section, ...], pydantic.Field(min_length=1, max_length=100)] | None = None
 
     @pydantic.model_validator(mode="after")
     def _dimensions(self) -> CrankBody:
-        self._check_stated("bearings", "sections")
         if self.bearings is not None and not self.bearings[0] < self.bearings[1]:
             first, second = self.bearings
             raise ValueError(f"bearings are at {_mm(first)} and {_mm(second)}; the second must be further along +z")
@@ -293,6 +293,7 @@ class OutputPinBody(ElasticBody):
 
     model_config = pydantic.ConfigDict(populate_by_name=True)
 
+    DIMENSIONS = ("ends", "start", "end", "diameter")
     ends: Literal["cantilever", "clamped"] | None = None
     start: Coordinate | None = pydantic.Field(default=None, alias="from")
     end: Coordinate | None = pydantic.Field(default=None, alias="to")
@@ -300,7 +301,6 @@ class OutputPinBody(ElasticBody):
 
     @pydantic.model_validator(mode="after")
     def _dimensions(self) -> OutputPinBody:
-        self._check_stated("ends", "start", "end", "diameter")
         if self.start is not None and self.start == self.end:
             raise ValueError(f"from and to are both {_mm(self.start)}; they must differ")
         return self
@@ -325,17 +325,13 @@ class CarrierBody(ElasticBody):
         Share of each crank's load that is on the plate which is not the output, 0 to 1.
     """
 
+    DIMENSIONS = ("columns", "circle_radius", "length", "radial_width", "tangential_width", "share")
     columns: int | None = pydantic.Field(default=None, ge=2, le=40, strict=True)
     circle_radius: sizes.CircleRadius | None = None
     length: SpanLength | None = None
     radial_width: sizes.Dimension | None = None
     tangential_width: sizes.Dimension | None = None
     share: float | None = pydantic.Field(default=None, ge=0.0, le=1.0)
-
-    @pydantic.model_validator(mode="after")
-    def _dimensions(self) -> CarrierBody:
-        self._check_stated("columns", "circle_radius", "length", "radial_width", "tangential_width", "share")
-        return self
 
 
 class RingBody(ElasticBody):
@@ -349,13 +345,9 @@ class RingBody(ElasticBody):
         Its width along the axis, m.
     """
 
+    DIMENSIONS = ("outer_radius", "width")
     outer_radius: sizes.CircleRadius | None = None
     width: SpanLength | None = None
-
-    @pydantic.model_validator(mode="after")
-    def _dimensions(self) -> RingBody:
-        self._check_stated("outer_radius", "width")
-        return self
 
 
 class Bodies(Config):

@@ -172,7 +172,7 @@ class _Geometry(Config):
     pressure_limit: PositivePressure | None = None
 
 
-class _Tables(Config):
+class PairTables(Config):
     """The tables of a file beside `[pair]` and `[errors]`."""
 
     modification: Modification = Modification()
@@ -189,11 +189,11 @@ class _Drawn(Config):
     pair: _Geometry
 
 
-class _File(_Tables, _Drawn):
+class _File(PairTables, _Drawn):
     """A gear pair as drawn; `[errors]` states the errors of the part."""
 
 
-class Pair(_Tables, _Geometry):
+class Pair(PairTables, _Geometry):
     """A cycloid-pin gear pair, SI units, validated: it has one more pin than teeth and can be made and assembled.
 
     Pairs with the same values are equal and have the same hash and `text`, however they were made. Lengths and other
@@ -667,7 +667,7 @@ def pair_of_tables(tables: Mapping[str, Any], source: str, folder: Path | None =
         raise edge.InputError(f"{source}: errors = {edge.shown(stated)}: it must be a table, [errors].")
     file, errors = edge.validated(_File, tables, source), Errors(stated, source)
     values: dict[str, Any] = {name: getattr(file.pair, name) for name in _Geometry.model_fields}
-    values |= {name: getattr(file, name) for name in _Tables.model_fields}
+    values |= {name: getattr(file, name) for name in PairTables.model_fields}
     if file.bodies is not None and folder is not None:
         values["bodies"] = file.bodies.in_folder(folder)
     try:
