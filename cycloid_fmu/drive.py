@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import edge
 from cycloid_fmu.drive_value import DriveValue
+from cycloid_fmu.edge.quantities import FIELD_UNITS
 from cycloid_fmu.errors.kinds import KINDS, kind_of, names_of
 from cycloid_fmu.errors.stated import Errors
 from cycloid_fmu.geometry import ANGLES
@@ -47,12 +48,6 @@ if TYPE_CHECKING:
     from cycloid_fmu.wear.life import WearRun
 
 Array = NDArray[np.float64]
-_FIELD_UNITS = {
-    "rad": ("arcsec", edge.ARCSEC),
-    "N*m/rad": ("N*m/arcmin", 1.0 / edge.ARCMIN),
-    "Pa": ("MPa", 1e-6),
-    "m": ("um", 1e6),
-}
 
 
 def _quantity(name: str, given: Any, unit: str) -> float:
@@ -364,13 +359,7 @@ class Drive(DriveValue):
             raise edge.ArgumentError(
                 "crank_speed", "a drive that gets warm turns; give a speed above zero", crank_speed
             )
-        return heat(
-            self,
-            turning,
-            _crank_angles(self.pair, angles, turns),
-            workers=_cores(workers),
-            progress=progress,
-        )
+        return heat(self, turning, _crank_angles(self.pair, angles, turns), workers=_cores(workers), progress=progress)
 
     def motion(
         self,
@@ -742,13 +731,7 @@ class Drive(DriveValue):
         if torque is None:
             loads.append(-loads[0])
         study = Study(
-            self.pair,
-            _tolerances(tolerances),
-            samples,
-            seed,
-            tuple(loads),
-            angles=angles,
-            first_stage=self.first_stage,
+            self.pair, _tolerances(tolerances), samples, seed, tuple(loads), angles=angles, first_stage=self.first_stage
         )
         if requirements is not None:
             study = yields.with_requirements(study, _requirements(requirements))
@@ -868,15 +851,7 @@ class Drive(DriveValue):
         source = "law" if isinstance(law, WearLaw) else str(law)
         stated = law if isinstance(law, WearLaw) else read_wear_law(law)
         loads = (Load(torque=_torque(torque), crank_turns=1.0),)
-        return run_wear(
-            self.stage,
-            stated,
-            loads,
-            crank_turns,
-            source,
-            workers=_cores(workers),
-            progress=progress,
-        )
+        return run_wear(self.stage, stated, loads, crank_turns, source, workers=_cores(workers), progress=progress)
 
     def at_age(self, age: float | str, wear_factor: float = 1.0) -> Self:
         """Return this drive at an age of its forecast: flanks, pins and the clearance of the bearing that wears.
@@ -1388,7 +1363,7 @@ def field_units(data: xr.Dataset) -> xr.Dataset:
     found = data.copy()
     for name in data.variables:
         unit = str(data[name].attrs.get("units"))
-        shown, factor = ("deg", 180.0 / math.pi) if name == "crank_angle" else _FIELD_UNITS.get(unit, (unit, 1.0))
+        shown, factor = ("deg", 180.0 / math.pi) if name == "crank_angle" else FIELD_UNITS.get(unit, (unit, 1.0))
         if shown != unit:
             found[name] = (data[name].dims, data[name].values * factor, {**data[name].attrs, "units": shown})
     return found

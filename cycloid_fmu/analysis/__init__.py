@@ -7,6 +7,7 @@ from cycloid_fmu.analysis.dataset import statistics as statistics
 from cycloid_fmu.analysis.shares import compliance as compliance
 from cycloid_fmu.analysis.shares import series_compliance as series_compliance
 from cycloid_fmu.analysis.solver import error_sensitivity as error_sensitivity
+from cycloid_fmu.analysis.solver import lost_motion as lost_motion
 from cycloid_fmu.analysis.solver import sensitivity as sensitivity
 from cycloid_fmu.analysis.solver import solve as solve
 from cycloid_fmu.analysis.validity import interference_notes as interference_notes

@@ -83,6 +83,15 @@ def solve(
     return behind_first_stage.solve(drive, torques, angles, options)
 
 
+def lost_motion(drive: DriveValue, crank_angle: ArrayLike, *, workers: int = 1) -> Array:
+    """Return the lost motion of a drive with a rated torque at crank angles (rad), shape (angles,), rad."""
+    loads = drive.pair.lost_motion_loads
+    up, down = solve(
+        drive, loads, crank_angle, with_play=False, with_stiffness=False, workers=workers
+    ).transmission_error
+    return np.asarray(up - down)
+
+
 def sensitivity(
     drive: DriveValue,
     torque: ArrayLike,

@@ -51,53 +51,51 @@ def plot(result: object, path: str | os.PathLike[str] | None = None) -> Figure:
     >>> pathlib.Path("sweep.png").stat().st_size > 20000
     True
     """
+    from cycloid_fmu.draw.drive_page import write_motion
+    from cycloid_fmu.draw.drive_picture import plot_motion
+    from cycloid_fmu.motion import Motion
+
+    if isinstance(result, Motion):
+        if path is not None:
+            write_motion(result, path)
+        return plot_motion(result)
+    figure = _figure_of(result)
+    if path is not None:
+        save(figure, path)
+    return figure
+
+
+def _figure_of(result: Any) -> Figure:
+    """Return the figure of a result that is no motion."""
     import xarray as xr
 
     from cycloid_fmu.cad.profile import Profile
-    from cycloid_fmu.draw.profiles import plot_profile
-    from cycloid_fmu.draw.sweeps import plot_sweep
+    from cycloid_fmu.draw import losses, profiles, sweeps, wear_plots
     from cycloid_fmu.losses.figures import LossFigures
     from cycloid_fmu.losses.heat import Heat
-    from cycloid_fmu.motion import Motion
     from cycloid_fmu.studies.sweep import FORMAT as SWEEP
     from cycloid_fmu.studies.yields import Findings
     from cycloid_fmu.surfaces.surface import ErrorSurface
     from cycloid_fmu.wear.life import WearRun
 
-    if isinstance(result, Motion):
-        from cycloid_fmu.draw.drive_page import write_motion
-        from cycloid_fmu.draw.drive_picture import plot_motion
-
-        if path is not None:
-            write_motion(result, path)
-        return plot_motion(result)
-    if isinstance(result, xr.Dataset):
-        figure = plot_sweep(result) if result.attrs.get("format") == SWEEP else plot_analysis(result)
-    elif isinstance(result, Profile):
-        figure = plot_profile(result)
-    elif isinstance(result, Findings):
-        figure = plot_tolerance(result.result)
-    elif isinstance(result, LossFigures):
-        from cycloid_fmu.draw.losses import plot_losses
-
-        figure = plot_losses(result)
-    elif isinstance(result, Heat):
-        from cycloid_fmu.draw.losses import plot_heat
-
-        figure = plot_heat([result])
-    elif isinstance(result, WearRun):
-        from cycloid_fmu.draw.wear_plots import plot_wear
-
-        figure = plot_wear(result.model, result.states, result.new, result.figures)
-    elif isinstance(result, ErrorSurface) or isinstance(getattr(result, "surface", None), ErrorSurface):
-        figure = plot_surface(getattr(result, "surface", result))
-    elif isinstance(result, Mapping) and "standard" in result:
-        figure = plot_budget(result)
-    else:
-        raise TypeError(f"result is a {type(result).__name__}: it can't be drawn")
-    if path is not None:
-        save(figure, path)
-    return figure
+    match result:
+        case xr.Dataset():
+            return sweeps.plot_sweep(result) if result.attrs.get("format") == SWEEP else plot_analysis(result)
+        case Profile():
+            return profiles.plot_profile(result)
+        case Findings():
+            return plot_tolerance(result.result)
+        case LossFigures():
+            return losses.plot_losses(result)
+        case Heat():
+            return losses.plot_heat([result])
+        case WearRun():
+            return wear_plots.plot_wear(result.model, result.states, result.new, result.figures)
+        case ErrorSurface() | object(surface=ErrorSurface()):
+            return plot_surface(getattr(result, "surface", result))
+        case {"standard": _}:
+            return plot_budget(result)
+    raise TypeError(f"result is a {type(result).__name__}: it can't be drawn")
 
 
 def plot_bearings(data: xr.Dataset, pair: Pair, shares: Sequence[Share]) -> Figure:

@@ -16,6 +16,13 @@ if TYPE_CHECKING:
 ARCSEC = 648000.0 / math.pi
 """Arcseconds in a radian, for reports."""
 ARCMIN = ARCSEC / 60.0
+FIELD_UNITS = {
+    "rad": ("arcsec", ARCSEC),
+    "N*m/rad": ("N*m/arcmin", 1.0 / ARCMIN),
+    "Pa": ("MPa", 1e-6),
+    "m": ("um", 1e6),
+}
+"""The units of drawings and reports in which results are shown, and how many are one in SI."""
 RATIO = "−gear_teeth with a fixed ring, +pins with a fixed carrier"
 """The ratio input/output of a single stage, for questions and messages."""
 

@@ -26,7 +26,7 @@ import pydantic
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.analysis import series_compliance, solve
+from cycloid_fmu.analysis import lost_motion, series_compliance, solve
 from cycloid_fmu.analysis.validity import out_of_step
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry import ANGLES
@@ -280,10 +280,8 @@ def values_over_sweep(
     every["torsional_stiffness"] = [whole_stiffness(found.torsional_stiffness[loaded].ravel(), series)]
     every["smallest_curvature_radius"] = [np.array([flank_curvature_radius(pair)])]
     if "lost_motion" in limits:
-        up, down = solve(
-            DriveValue(pair, one.surface), pair.lost_motion_loads, angles, with_play=False, with_stiffness=False
-        ).transmission_error
-        every["lost_motion"] = [up - down + series_lost_motion(pair, series)]
+        lost = lost_motion(DriveValue(pair, one.surface), angles)
+        every["lost_motion"] = [lost + series_lost_motion(pair, series)]
     turning = [(load, int(np.flatnonzero(loads == load.torque)[0])) for load in task.duty if load.output_speed > 0.0]
     speeds = [load.output_speed * abs(pair.ratio) for load, _ in turning]
     if limits & {"sliding_speed", "friction_power_density"}:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cycloid_fmu import edge
-from cycloid_fmu.edge import ARCMIN, ARCSEC
+from cycloid_fmu.edge.quantities import FIELD_UNITS
 from cycloid_fmu.studies.checkpoint import reserved
 from cycloid_fmu.studies.sweep import Sweep, figures_in, run
 
@@ -20,14 +20,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 ENDINGS = (".csv", ".parquet", ".nc")
-SHOWN = {
-    "rad": ("arcsec", ARCSEC),
-    "N*m/rad": ("N*m/arcmin", 1.0 / ARCMIN),
-    "N*m": ("N*m", 1.0),
-    "Pa": ("MPa", 1e-6),
-    "m": ("um", 1e6),
-    "1": ("1", 1.0),
-}
+SHOWN = {**FIELD_UNITS, "N*m": ("N*m", 1.0), "1": ("1", 1.0)}
 """Units of figures in tables, and how many are one in SI."""
 
 

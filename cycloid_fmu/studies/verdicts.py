@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.analysis import series_compliance, solve
+from cycloid_fmu.analysis import lost_motion, series_compliance, solve
 from cycloid_fmu.contact.transmission import Transmission
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry import ANGLES
@@ -163,16 +163,7 @@ def judge_sweep(
         series = series_compliance(drive)
     data: dict[str, Any] = {**vars(found), "backlash": found.backlash}
     if requirements.limits.lost_motion is not None:
-        loads = pair.lost_motion_loads
-        up, down = solve(
-            drive,
-            loads,
-            found.crank_angle,
-            with_play=False,
-            with_stiffness=False,
-            workers=workers,
-        ).transmission_error
-        data["lost_motion"] = up - down
+        data["lost_motion"] = lost_motion(drive, found.crank_angle, workers=workers)
     verdicts = judging.judge(requirements.limits, pair, data, series)
     lives, sliding = list[DutyLife](), list[tuple[DutyLoad, Sliding]]()
     duty = [load for load in requirements.duty if load.output_speed > 0.0]

@@ -513,13 +513,8 @@ def _periods(model: WearModel, new: WearRate) -> list[tuple[float, WearModel]]:
     """
     if len(model.loads) == 1 or model.cycle * new.depth.largest <= model.law.largest_step:
         return [(math.inf, model)]
-    return [
-        (
-            load.crank_turns * model.cycle,
-            dataclasses.replace(model, loads=(load.replace(crank_turns=1.0),)),
-        )
-        for load in model.loads
-    ]
+    alone = [dataclasses.replace(model, loads=(load.replace(crank_turns=1.0),)) for load in model.loads]
+    return [(load.crank_turns * model.cycle, single) for load, single in zip(model.loads, alone, strict=True)]
 
 
 def _period_at(periods: list[tuple[float, WearModel]], crank_turns: float) -> tuple[WearModel, float]:
