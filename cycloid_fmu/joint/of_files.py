@@ -18,29 +18,16 @@ from cycloid_fmu.joint.document import Number, number, unknown
 STATED_FORMAT = "cycloid-joint-figures/1"
 FIGURES_FORMAT = "cycloid-figures/1"
 FRICTION_FIT_FORMAT = "cycloid-friction-fit/1"
-UNITS = {
-    "ratio": "1",
-    "rotor_inertia": "kg*m^2",
-    "rated_torque": "N*m",
-    "peak_torque": "N*m",
-    "motor_speed_limit": "rad/s",
-    "play": "rad",
-    "mesh_damping": "N*m*s/rad",
-    "temperature": "K",
-    "coulomb": "N*m",
-    "stribeck": "N*m",
-    "stribeck_speed": "rad/s",
-    "viscous": "N*m*s/rad",
-    "presliding_angle": "rad",
-    "efficiency_driving": "1",
-    "efficiency_back_driving": "1",
-    "load_share": "1",
-    "torque": "N*m",
-    "windup": "rad",
-    "order": "1",
-    "amplitude": "rad",
-    "phase": "rad",
+_NAMES = {
+    "1": ("ratio", "efficiency_driving", "efficiency_back_driving", "load_share", "order"),
+    "kg*m^2": ("rotor_inertia",),
+    "N*m": ("rated_torque", "peak_torque", "coulomb", "stribeck", "torque"),
+    "rad/s": ("motor_speed_limit", "stribeck_speed"),
+    "rad": ("play", "presliding_angle", "windup", "amplitude", "phase"),
+    "N*m*s/rad": ("mesh_damping", "viscous"),
+    "K": ("temperature",),
 }
+UNITS = {name: unit for unit, names in _NAMES.items() for name in names}
 """Unit of a number by the last part of its name."""
 _WHOLE = "part of the friction that is measured at the output as a whole"
 _File = str | os.PathLike[str]
