@@ -481,6 +481,31 @@ def test_a_curve_of_noise_alone_has_no_range():
     assert 0.0 <= figure.uncertainty < ARCSEC
 
 
+def test_an_order_that_noise_hides_is_within_the_uncertainty_of_a_range():
+    """Of 60″ under a noise of 600″, as of a loose coupling: "0 ± 0" would be sure of a wrong value."""
+    hidden, noise = 60.0 * ARCSEC, 600.0 * ARCSEC
+    curve = fitting.curves(run_with({39: (hidden, 0.0)}, turns=2, each=1000, noise=noise, seed=2), -39.0)[0]
+    orders = spectrum(curve)
+    assert not orders.significant.any()
+    figure = angular_transmission_error(curve, orders)
+    assert abs(figure.value - 2.0 * hidden) < figure.uncertainty < noise
+
+
+@pytest.mark.parametrize(("each", "noise"), [(1500, 0.5), (3744, 0.5), (1500, 3.0)])
+def test_the_range_of_a_curve_with_corners_is_within_its_uncertainty(each, noise):
+    """Corners, where pins come into contact: their orders fall with the square, and noise or few samples hide most."""
+    corners, seeds, inside = 20.0 * ARCSEC, 12, 0
+    for seed in range(seeds):
+        rng = np.random.default_rng(seed)
+        angle = np.arange(2 * each) * 2 * np.pi / each * 39 + rng.uniform(0, 6)
+        error = corners * np.abs(np.sin(0.5 * angle)) + rng.normal(0.0, noise * ARCSEC, angle.size)
+        made = recording(np.arange(angle.size) / 4000.0, angle, -angle / 39 + error, 100.0, -39.0)
+        figures = figures_of([survey(made, -39.0, None)], -39.0, None).figures
+        for name in ("angular_transmission_error", "angular_transmission_error_without_rig"):
+            inside += abs(figures[name].value - corners) <= figures[name].uncertainty
+    assert inside >= 0.9 * 2 * seeds  # without what the orders above the noise lack, none to two of 24
+
+
 @pytest.mark.parametrize("phase", [0.0, np.pi / 4, np.pi / 2])
 def test_a_range_is_as_uncertain_as_twice_its_only_order(phase):
     """Noise of root mean square f in a complex amplitude c moves |c| by f/√2, whatever its phase."""
