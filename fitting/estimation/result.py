@@ -71,7 +71,7 @@ from fitting.model.observations import (
     spread_of,
     with_scatter,
 )
-from fitting.model.posterior import Posterior, lasting
+from fitting.model.posterior import Posterior, fitted_to, lasting
 from fitting.model.prior import posterior_as_json, tolerances_of
 from fitting.model.unknowns import NO_SCATTER
 from fitting.transmission_error.curve import Curve
@@ -358,12 +358,13 @@ def result_of(
         of_drive = [withheld(unknown) for unknown in of_drive]
         lag = withheld(lag) if lag else None
     verdict = with_run_out(verdict, run_out)
+    earlier = () if observed.earlier is None else fitted_to(observed.earlier.drive.surface)
     surface = state.surface.replace(
         pair=identified_pair.nominal,
         origin="identified",
         covariance_of=(*chosen, *scatter_names(pair)) if explained else (),
         covariance=every if explained else None,
-        attributes={"data": " ".join(f"{c.checksum}" for c in observed.curves)},
+        attributes={"data": " ".join(dict.fromkeys([*earlier, *(c.checksum for c in observed.curves)]))},
     )
     stage = observed.first_stage
     stage = None if stage is None else with_play(stage, float(state.bearings[-1]))

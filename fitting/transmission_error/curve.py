@@ -140,6 +140,18 @@ def whole_turns(angle: ArrayLike, turn: float = 2.0 * np.pi) -> Array:
     return np.asarray(turn * np.round(np.asarray(angle, dtype=float) / turn))
 
 
+def refuse_repeated(curves: Sequence[Curve]) -> None:
+    """Refuse a curve that is given twice: it would count twice, with intervals that are too narrow."""
+    for number, curve in enumerate(curves):
+        for other in curves[:number]:
+            if np.array_equal(curve.transmission_error, other.transmission_error) and np.array_equal(
+                curve.input_angle, other.input_angle
+            ):
+                raise edge.InputError(
+                    f"{curve.source}: its samples are those of {other.source} too; give them once, or they count twice."
+                )
+
+
 def noise_of(curve: Curve) -> float:
     """Return the noise of one point of a curve, rad rms, from the scatter of turns or, for one turn, of neighbours.
 
