@@ -46,6 +46,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+_OVERLOAD = 10.0  # times the rated torque: no bench loads a drive so, a wrong unit does
 _EXCLUDED = 10.0  # of -2 log likelihood: a description that is less likely by more is excluded, 150 to 1
 
 
@@ -247,6 +248,12 @@ def _measured(
         if abs(curve.torque) < 1e-3 * max(abs(c.torque) for c in running) or curve.torque == 0.0:
             raise edge.InputError(
                 f"{curve.source}: the mean torque is {curve.torque:g} N·m; the fit needs loaded curves."
+            )
+        times = abs(curve.torque) / (pair.rated_torque or np.inf)
+        if times > _OVERLOAD:
+            raise edge.InputError(
+                f"{curve.source}: the mean torque is {curve.torque:g} N·m, {times:.3g} "
+                f"times the rated torque of the pair, {pair.rated_torque:g} N·m; check its unit, such as N*mm."
             )
     return running, loops
 
