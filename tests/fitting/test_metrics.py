@@ -1,5 +1,6 @@
 import dataclasses
 import json
+import re
 
 import numpy as np
 import pytest
@@ -579,6 +580,36 @@ def test_a_few_points_that_were_never_recorded_leave_the_orders_as_they_are():
         # Within a point the angle's series ends with its square.
         left_out = (k * np.pi / 8910) ** 4 / 24
         assert orders.coefficient[k] == pytest.approx(a * np.exp(-1j * p), abs=(1e-3 + left_out) * a), k
+
+
+def test_a_soft_drive_on_a_locked_input_has_all_its_loops():
+    """A printed drive of 13 to 1 that gives way by 5° at its rated torque: "stuck" were 99 % of its samples."""
+    torque, angle = loop(25.0, 0.087 / ARCMIN, 12 * ARCMIN, 1.0, loops=2)
+    for creep in (0.0, np.radians(0.3)):  # of the input in its lock
+        crank = creep * torque / 25.0
+        made = recording(np.arange(torque.size) * 1e-2, crank, angle + crank / 13.0, torque, 13.0)
+        surveyed = survey(made, 13.0, 25.0)
+        assert surveyed.implausible == 0
+        figures = figures_of([surveyed], 13.0, 25.0).figures
+        assert figures["torsional_stiffness"].value == pytest.approx(0.087 / ARCMIN, rel=1e-3)
+        assert figures["backlash"].value == pytest.approx(12 * ARCMIN, rel=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda torque, angle: (-torque, angle), "the angle falls while the torque grows, so the direction of"),
+        (lambda torque, angle: (torque, 0.0 * angle + 0.1), "constant while the torque changes by 33.* its encoder"),
+        (lambda torque, angle: (1000.0 * torque, angle), r"at least 8 are needed \(the torque reaches 1.67e\+05 N·m\)"),
+        (lambda torque, angle: (torque[::150], angle[::150]), "samples below half of the rated 167 N·m, at least 8"),
+    ],
+    ids=["torque of the other sign", "dead output encoder", "N·mm", "few samples"],
+)
+def test_a_loop_that_cannot_be_one_has_its_cause_and_no_figures(change, said):
+    """The other sign gave a hysteresis loss of -35′ and a backlash of -12′, a dead encoder 0 ± 0, without a word."""
+    found = figures_from(*change(*loop(167.0, 49 / ARCMIN, 0.6 * ARCMIN, 2.0)))
+    assert not found.figures
+    assert any(re.search(said, note) for note in found.notes), found.notes
 
 
 def test_a_locked_input_without_a_loop_is_said_and_no_other():
