@@ -52,7 +52,7 @@ def angular_transmission_error(curve: Curve, orders: Spectrum, runaway: float = 
     scatter = 1.96 * float(drawn.std(ddof=1))
     if not orders.significant.any():
         scatter = 2.0 * float(detectable(orders.floor[1:], orders.floor.size).max())
-    uncertainty = math.hypot(scatter, runaway / max(curve.turns, 1.0)) + unresolved
+    uncertainty = math.hypot(scatter + unresolved, runaway / max(curve.turns, 1.0))
     definition, interval = DEFINITIONS["angular_transmission_error"], (0.0, 2.0 * math.pi)
     return Figure(max(largest_range - bias, 0.0), uncertainty, *definition, interval, "rad", curve.turns, "turns")
 
