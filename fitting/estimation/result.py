@@ -565,6 +565,11 @@ def _notes(pair: Pair, fit: Estimate, verdict: Verdict, run_out: Sequence[RunOut
             )
     if verdict.state == "not explained":
         notes.append("Is this the drive of the pair file, and are counts per turn and directions right?")
+        if indexed := [c.source for c in curves if c.known_index]:
+            notes.append(
+                f"Is the crank at pin 0 where the input angle of {edge.listed(dict.fromkeys(indexed))} is zero? "
+                'If not, state zero_reference = "incremental" of [input_angle] in a mapping.'
+            )
     if pair.supports is None and any({*SHIFTS} & {m.cause, *m.alike} for m in verdict.misfits):
         notes.append(
             "Supports are compliant or have play: state the drive's bearings in the pair file ([supports]); then they "

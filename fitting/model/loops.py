@@ -113,7 +113,7 @@ def observed_curves(
             f"{loadless.source}: the torque is unknown; a model needs the load. State a constant one as value of "
             "[torque] in the mapping."
         )
-    refuse_repeated([one for one in found if not one.branch])
+    refuse_repeated([curve for curve in found if not curve.branch])
     return [of_cranks(one, drive) for one in found]
 
 

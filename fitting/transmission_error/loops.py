@@ -232,17 +232,17 @@ def loops_of(
     if not largest > 0.0:  # none, or unknown
         return None, []
     rated = rated_torque or largest
-    found = find_lobes(torque, rated)
+    every = find_lobes(torque, rated)
     inside = [
         min(np.count_nonzero(np.abs(torque[part]) < 0.5 * rated) for part in (lobe.loading, lobe.unloading))
-        for lobe in found
+        for lobe in every
     ]
     # A load that is switched on or fluctuates around zero is no loop: each branch must have many samples.
-    lobes = [lobe for lobe, count in zip(found, inside, strict=True) if count >= _FEWEST]
+    lobes = [lobe for lobe, count in zip(every, inside, strict=True) if count >= _FEWEST]
     if not lobes or (not locked and len({lobe.sign for lobe in lobes}) < 2):
         if locked and not lobes:
             why = f"the torque does not exceed a fifth of the rated {rated:.4g} N·m and return"
-            if found:
+            if every:
                 why = (
                     f"a branch has {max(inside)} samples below half of the rated {rated:.4g} N·m, at least {_FEWEST} "
                     f"are needed (the torque reaches {largest:.4g} N·m)"
