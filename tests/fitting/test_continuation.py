@@ -139,6 +139,9 @@ def test_a_recording_counts_once(measured, drive, before, tmp_path):
     runs = measured(1)
     with pytest.raises(InputError, match=r"-200 N·m: its samples are those of -200 N·m too; give them once"):
         fitting.identify([*runs, runs[-1]], drive)
+    exported = np.array([float(f"{angle:.15g}") for angle in runs[0].transmission_error + 100.0]) - 100.0
+    with pytest.raises(InputError, match="give them once"):
+        fitting.identify([*runs, dataclasses.replace(runs[0], transmission_error=exported)], drive)
     before.write(tmp_path / "fit.json")
     before.drive.write(tmp_path / "surface.nc")
     for prior in (before, before.drive, tmp_path / "fit.json"):
