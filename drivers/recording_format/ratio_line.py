@@ -19,7 +19,8 @@ _FOLLOW = 0.25  # of the travel: a slower drift off the line is a wrong ratio or
 _STAMPS = 0.01  # s: unstated delay of one angle against the other, such as a filter's
 _SEEN = 8  # samples that make a line
 _ESTABLISHED = 4.0  # travel, in largest deviations, after which a line is established
-_LOCKED = 4.0  # largest deviations allowed while the input has never moved: a loop with the input locked
+_LOCKED = 4.0  # largest deviations allowed at least while the input is at rest from the start on: a loop
+_AT_REST = math.radians(1.0)  # of the input: noise of its encoder, and windup of what locks it
 _SMALL = 0.02  # of the largest deviation: a smaller jump does not show as one off the line
 _EQUAL = 3  # equal samples that make a stuck encoder
 
@@ -89,7 +90,9 @@ class Line:
         self._turns = 0.0  # input turns lost in gaps, as a deviation, rad
         self._runs = [0, 0]  # number of equal samples before the last one
         self._stood = [(0.0, 0.0)] * 2  # start of these runs, s, and the deviation then, rad
-        self._moved = False
+        self._moved, self._begins = False, math.nan
+        # A drive with a locked input does not move its output as far as a turn of the input would.
+        self._locked = max(_LOCKED * self._wide, 2.0 * math.pi / abs(ratio))
         self._last: _Last | None = None
         self._travel = 0.0
         self._low, self._high, self._span = math.inf, -math.inf, (math.inf, -math.inf)
@@ -148,8 +151,10 @@ class Line:
         driven = np.diff(given.driven, prepend=given.driven[0] if before is None else before.driven)
         lasts = np.maximum(np.diff(time, prepend=time[0] if before is None else before.time), 1e-9)
         runs = [self._equal(index, step, fresh=before is None) for index, step in enumerate((turned, driven))]
-        moved = np.logical_or.accumulate(turned != 0.0) | self._moved
-        wide = np.where(moved, self._wide, _LOCKED * self._wide)
+        if math.isnan(self._begins):
+            self._begins = float(given.turning[0])
+        moved = np.logical_or.accumulate(np.abs(given.turning - self._begins) > _AT_REST) | self._moved
+        wide = np.where(moved, self._wide, self._locked)
         speed = np.maximum(np.abs(turned), np.abs(driven)) / lasts
         usual = np.minimum(speed, 4.0 * np.median(speed)) if size > 2 else speed
         for role, jumps in zip(ANGLES, (given.turning_jumps, given.driven_jumps), strict=True):

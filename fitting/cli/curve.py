@@ -42,7 +42,8 @@ def curve(
     rows = []
     for measured in curves:
         error = measured.transmission_error * ARCSEC
-        counts = [str(measured.input_angle.size), f"{measured.sample_count.mean():.1f}"]
+        turns = measured.turns
+        counts = [str(measured.input_angle.size), f"{turns:.1f}" if turns > 0.95 else f"{turns:.2g}"]
         angles = [f"{angle:.3f}" for angle in (error.mean(), np.ptp(error), noise_of(measured) * ARCSEC)]
         rows.append([Path(measured.source).name, label_of(measured), *counts, *angles])
     columns = ["recording", "load", "points", "turns", "mean", "peak-peak", "noise"]

@@ -52,7 +52,9 @@ def identify(
         Path | None,
         typer.Option(metavar="LAST.json", help="Go on from this fit of the drive: its posterior is the prior."),
     ] = None,
-    bootstrap: Annotated[int, typer.Option(min=0, help="Number of bootstrap resamples of output turns.")] = 0,
+    bootstrap: Annotated[
+        int, typer.Option(min=0, help="Number of bootstrap resamples of output turns: 0 for none, or from 20.")
+    ] = 0,
     as_json: commands.AsJson = False,
 ) -> None:
     """Fit the drive's errors to recordings at one or more loads, and list the errors that the data cannot resolve.

@@ -43,7 +43,7 @@ from fitting.model.observations import (
     spread_of,
     with_scatter,
 )
-from fitting.model.posterior import Posterior, factor_rows, lasting
+from fitting.model.posterior import Posterior, factor_rows, fitted_to, lasting
 from fitting.model.prior import posterior_about, posterior_of, tolerances_of
 from fitting.transmission_error.curve import Curve
 
@@ -61,6 +61,15 @@ def check_comparable(curve: Curve, drive: Drive) -> None:
             f"{curve.source}: the crank position at an input angle of zero is unknown, so its errors cannot be "
             "compared with the known ones; for a motor encoder that keeps its zero, state zero_reference = "
             '"absolute" of [input_angle] in the mapping, or known_index of a Run.'
+        )
+
+
+def check_new(curve: Curve, drive: Drive) -> None:
+    """Refuse a curve that a fitted drive was already fitted to: it would count twice."""
+    if curve.checksum in fitted_to(drive.surface):
+        raise edge.InputError(
+            f"{curve.source}: the earlier fit already used this recording (SHA-256 {curve.checksum[:8]}…); it would "
+            "count twice; give new ones."
         )
 
 
@@ -93,6 +102,7 @@ def continued(
     pair = earlier.drive.pair
     for curve in curves:
         check_comparable(curve, earlier.drive)
+        check_new(curve, earlier.drive)
     orders = [n for n in earlier.errors if profile_wave(n, 1) is not None]
     profile = dict(zip(orders, tolerances_of(orders).tolist(), strict=True))
     observed = observations(curves, pair, profile=profile, first_stage=earlier.drive.first_stage, earlier=earlier)
@@ -247,6 +257,8 @@ def read_posterior(path: str | os.PathLike[str], drive: Drive) -> Posterior:
         values |= dict(zip(given["errors"], mean.tolist(), strict=False))
         plain = with_structured(surface_of_pair(pair), values)
         surface = with_scatter(plain, mean[len(names) :])
+        used = given.get("data", list(data["data"].values()))
+        surface = surface.replace(attributes={"data": " ".join(map(str, used))})
         stage = drive.first_stage
         if stage is not None and PLAY in data.get("bearings", {}):
             stage = with_play(stage, float(data["bearings"][PLAY]["value"]) - stage.crank_play)

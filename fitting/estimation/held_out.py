@@ -97,7 +97,7 @@ class Prediction:
         loads = ", ".join(f"{c.torque:+.4g} N·m" for c in curves)
         counted = np.zeros(inside.size)
         counted[inside] = left
-        yardstick = yardsticks(dataclasses.replace(observed, weight=inside.astype(float)), counted)
+        yardstick = yardsticks(dataclasses.replace(observed, weight=inside.astype(float)), counted, np.nan)
         return HeldOut(loads, float(np.sqrt(np.mean(left**2))), float(np.sqrt(np.mean(yardstick**2))))
 
 

@@ -46,6 +46,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+_FEWEST_DRAWS = 20  # of turns: their standard deviation is then known to 16 %
+_OVERLOAD = 10.0  # times the rated torque: no bench loads a drive so, a wrong unit does
 _EXCLUDED = 10.0  # of -2 log likelihood: a description that is less likely by more is excluded, 150 to 1
 
 
@@ -80,7 +82,7 @@ def identify(
         Errors whose intervals are found by their profile rather than by their standard error.
     bootstrap
         Number of bootstrap resamples of output turns, whose scatter widens the standard errors if it is more than white
-        noise; 0 for none.
+        noise; 0 for none, otherwise at least 20.
     held_out
         Whether a load or direction is first kept from the fit and predicted.
     form
@@ -238,6 +240,12 @@ def _measured(
             raise edge.InputError(
                 f"{curve.source}: the mean torque is {curve.torque:g} N·m; the fit needs loaded curves."
             )
+        times = abs(curve.torque) / (pair.rated_torque or np.inf)
+        if times > _OVERLOAD:
+            raise edge.InputError(
+                f"{curve.source}: the mean torque is {curve.torque:g} N·m, {times:.3g} "
+                f"times the rated torque of the pair, {pair.rated_torque:g} N·m; check its unit, such as N*mm."
+            )
     return running, loops
 
 
@@ -291,9 +299,10 @@ def _described_otherwise(
 
 
 def _check(curves: Sequence[Curve], bootstrap: int, profiled: Sequence[str], errors: Sequence[str]) -> None:
-    """Refuse a bootstrap of too few turns, and profiles of what is no error."""
-    if bootstrap < 0:
-        raise edge.ArgumentError("bootstrap", "it must not be below zero", bootstrap)
+    """Refuse a bootstrap of too few draws or turns, and profiles of what is no error."""
+    if bootstrap < 0 or 0 < bootstrap < _FEWEST_DRAWS:
+        rule = f"it must be 0, for none, or at least {_FEWEST_DRAWS}: fewer draws do not tell a standard deviation"
+        raise edge.ArgumentError("bootstrap", rule, bootstrap)
     for curve in curves if bootstrap else ():
         turns = 0 if curve.each_turn is None else len(curve.each_turn)
         if turns < TURNS and not curve.branch:

@@ -71,7 +71,7 @@ from fitting.model.observations import (
     spread_of,
     with_scatter,
 )
-from fitting.model.posterior import Posterior, lasting
+from fitting.model.posterior import Posterior, fitted_to, lasting
 from fitting.model.prior import posterior_as_json, tolerances_of
 from fitting.model.unknowns import NO_SCATTER
 from fitting.transmission_error.curve import Curve
@@ -358,12 +358,13 @@ def result_of(
         of_drive = [withheld(unknown) for unknown in of_drive]
         lag = withheld(lag) if lag else None
     verdict = with_run_out(verdict, run_out)
+    earlier = () if observed.earlier is None else fitted_to(observed.earlier.drive.surface)
     surface = state.surface.replace(
         pair=identified_pair.nominal,
         origin="identified",
         covariance_of=(*chosen, *scatter_names(pair)) if explained else (),
         covariance=every if explained else None,
-        attributes={"data": " ".join(f"{c.checksum}" for c in observed.curves)},
+        attributes={"data": " ".join(dict.fromkeys([*earlier, *(c.checksum for c in observed.curves)]))},
     )
     stage = observed.first_stage
     stage = None if stage is None else with_play(stage, float(state.bearings[-1]))
@@ -564,6 +565,11 @@ def _notes(pair: Pair, fit: Estimate, verdict: Verdict, run_out: Sequence[RunOut
             )
     if verdict.state == "not explained":
         notes.append("Is this the drive of the pair file, and are counts per turn and directions right?")
+        if indexed := [c.source for c in curves if c.known_index]:
+            notes.append(
+                f"Is the crank at pin 0 where the input angle of {edge.listed(dict.fromkeys(indexed))} is zero? "
+                'If not, state zero_reference = "incremental" of [input_angle] in a mapping.'
+            )
     if pair.supports is None and any({*SHIFTS} & {m.cause, *m.alike} for m in verdict.misfits):
         notes.append(
             "Supports are compliant or have play: state the drive's bearings in the pair file ([supports]); then they "

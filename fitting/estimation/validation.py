@@ -143,7 +143,8 @@ def with_run_out(verdict: Verdict, run_out: Sequence[RunOut]) -> Verdict:
 class HeldOut:
     """Held-out curves, predicted by the pair's errors: loads in words, rms of the residual, and noise, rad.
 
-    The noise is from repetitions, or from between the orders of the residual of these curves.
+    The noise is from repetitions, or from between the orders of the residual of these curves; NaN with too few points
+    for either.
     """
 
     loads: str
@@ -285,8 +286,11 @@ def order_powers(observed: Observations, residual: Array) -> tuple[int, list[Arr
     return turns, found
 
 
-def yardsticks(observed: Observations, residual: Array) -> Array:
-    """Noise of a point of each running curve, in units of that of `residual`, from repetitions or between orders."""
+def yardsticks(observed: Observations, residual: Array, unknown: float) -> Array:
+    """Noise of a point of each running curve, in units of that of `residual`, from repetitions or between orders.
+
+    `unknown`: of curves with too few points for either.
+    """
     found = []
     parts = np.split(np.arange(residual.size), observed.ends)
     for number, power in zip(observed.running, order_powers(observed, residual)[1], strict=True):
@@ -298,7 +302,7 @@ def yardsticks(observed: Observations, residual: Array) -> Array:
             scatter = (curve.standard_error * observed.weight[part])[told]
             found.append(float(np.sqrt(np.mean(scatter**2))))
         else:
-            found.append(float(np.sqrt(np.median(power) / np.log(2.0))) if power.size > 20 else 1.0)
+            found.append(float(np.sqrt(np.median(power) / np.log(2.0))) if power.size > 20 else unknown)
     return np.array(found)
 
 
@@ -351,7 +355,7 @@ def failures(residual: Residual, left: Array) -> tuple[list[str], Array]:
     order = peak(observed, left)
     if order is not None:
         failed.append(f"order {order:.4g} of the output is above the noise")
-    yardstick = yardsticks(observed, left)
+    yardstick = yardsticks(observed, left, 1.0)
     excess = float(np.exp(-np.mean(np.log(np.maximum(yardstick, 1e-9)))))
     # A median of n squares of noise is uncertain by 1.44/√n of it.
     if excess > max(_MORE, np.exp(4.0 * 0.72 / np.sqrt(0.5 * np.count_nonzero(~observed.of_loops)))):

@@ -13,7 +13,7 @@ from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.geometry.pair import Pair
 from fitting.arguments import check_ratio, positive
-from fitting.figures.angular_error import angular_transmission_error
+from fitting.figures.angular_error import angular_transmission_error, unresolved_range
 from fitting.figures.budget import Budget, budget_json, budgets_of
 from fitting.figures.figure import DEFINITIONS, Figure, figure_json, pooled
 from fitting.figures.friction_free import DEFINITIONS as OF_FRICTION_FREE
@@ -217,7 +217,8 @@ def _ripple_results(surveyed: Sequence[Surveyed], rated_torque: float | None, pa
             notes += _windup_note(curve, rated_torque)
             direction, label = "forward" if curve.direction > 0 else "backward", run_label(recording.source, curve)
             for name, used in zip(names, (orders, without_orders(orders, RIG_ORDERS)), strict=True):
-                runs[name][direction][label] = angular_transmission_error(curve, used, recording.runaway)
+                lacking = unresolved_range(curve, orders, used)
+                runs[name][direction][label] = angular_transmission_error(curve, used, recording.runaway, lacking)
             bases, limits = _stated_bases(recording.overview, curve.ratio), recording.overview.limits
             coarsest = max(limits.output_resolution, limits.input_resolution / abs(curve.ratio))
             of_runs.append(orders_of_run(curve, orders, label, pair, bases, coarsest))

@@ -10,13 +10,14 @@ import math
 import os
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from cycloid_fmu import edge
 
 if TYPE_CHECKING:
     import lmfit
 
+_ROUNDED = 1e-9  # share by which rounding may have put a value beyond its bound
 _ARITHMETIC = (
     *(ast.Expression, ast.BinOp, ast.UnaryOp, ast.Name, ast.Load, ast.Constant),
     *(ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.UAdd, ast.USub),
@@ -117,20 +118,30 @@ def read_parameters(path: str | os.PathLike[str]) -> lmfit.Parameters:
         return loaded(json.loads(text)["params"])
 
 
-def loaded(states: list[list[object]]) -> lmfit.Parameters:
+def loaded(states: list[list[Any]]) -> lmfit.Parameters:
     """Return lmfit parameters from the `params` of their file.
 
     Raises
     ------
     ValueError
-        If an expression is more than arithmetic.
+        If an expression is more than arithmetic or names what is no parameter, or a value is outside its bounds, to
+        which lmfit would move it without a word.
     """
     from lmfit import Parameters
 
-    for state in states:
+    names = {state[0] for state in states}
+    for name, value, _, expression, low, high, *_ in states:
+        if expression is None:
+            least, most = -math.inf if low is None else low, math.inf if high is None else high
+            if math.isfinite(value) and not least - _ROUNDED * abs(least) <= value <= most + _ROUNDED * abs(most):
+                raise ValueError(f"{name} = {value:g} is outside its bounds, {least:g} to {most:g}")
+            continue
         # lmfit would run what an expression says.
-        if state[3] is not None and not all(isinstance(n, _ARITHMETIC) for n in ast.walk(_parsed(str(state[3])))):
-            raise ValueError(f"the expression of {state[0]} is more than arithmetic")
+        parts = list(ast.walk(_parsed(str(expression))))
+        if not all(isinstance(part, _ARITHMETIC) for part in parts):
+            raise ValueError(f"the expression of {name} is more than arithmetic")
+        if unknown := sorted({part.id for part in parts if isinstance(part, ast.Name)} - names):
+            raise ValueError(f"the expression of {name} names {edge.listed(unknown)}, which is no parameter of it")
     return Parameters().loads(json.dumps({"unique_symbols": {}, "params": states}))
 
 

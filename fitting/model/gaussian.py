@@ -102,7 +102,9 @@ class Gaussian:
 
     @cached_property
     def _factor(self) -> tuple[Array, bool]:
-        factor: tuple[Array, bool] = linalg.cho_factor(self._scaled)
+        if not np.isfinite(self._scaled).all():
+            raise np.linalg.LinAlgError("the information is not finite")
+        factor: tuple[Array, bool] = linalg.cho_factor(self._scaled, check_finite=False)
         return factor
 
     def solve(self, right: Array) -> Array:

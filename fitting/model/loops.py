@@ -28,7 +28,7 @@ from fitting.model.first_stage import of_cranks
 from fitting.readers.recording import Recording, RecordingStream
 from fitting.readers.sources import Source, each_source, open_source
 from fitting.samples.plausible import PlausibleBlocks
-from fitting.transmission_error.curve import Curve, whole_turns
+from fitting.transmission_error.curve import Curve, refuse_repeated, whole_turns
 from fitting.transmission_error.folding import LOCKED, curves
 from fitting.transmission_error.mid_curve import evaluated
 from fitting.transmission_error.survey import Surveyed, survey
@@ -96,7 +96,7 @@ def observed_curves(
     Raises
     ------
     edge.InputError
-        If a recording can't be read, is of another drive, or gives neither.
+        If a recording can't be read, is of another drive, gives neither, or is given twice.
     """
     pair, ratio = drive.pair, drive.ratio
     given: list[Source | Curve] = each_source(recordings)
@@ -113,6 +113,7 @@ def observed_curves(
             f"{loadless.source}: the torque is unknown; a model needs the load. State a constant one as value of "
             "[torque] in the mapping."
         )
+    refuse_repeated([curve for curve in found if not curve.branch])
     return [of_cranks(one, drive) for one in found]
 
 

@@ -41,6 +41,11 @@ def lasting(names: Sequence[str], mounted: bool) -> list[str]:
     return [name for name in names if not (name.startswith(leaves) or is_coefficient(name))]
 
 
+def fitted_to(surface: ErrorSurface) -> tuple[str, ...]:
+    """Return the SHA-256 of all recordings that a surface was fitted to, those of earlier fits included."""
+    return tuple(str(surface.attributes.get("data", "")).split())
+
+
 def factor_rows(covariance: Array) -> list[list[float]]:
     """Return the lower triangle of a factor of a covariance, row by row with nine digits; constants have zeros."""
     size = np.sqrt(np.diag(covariance))

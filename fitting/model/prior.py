@@ -27,7 +27,7 @@ from fitting.model.observations import (
     scatter_between,
     scatter_names,
 )
-from fitting.model.posterior import Posterior, factor_rows
+from fitting.model.posterior import Posterior, factor_rows, fitted_to
 
 Array = NDArray[np.float64]
 TOLERANCE = {"m": 5e-6, "rad": 1e-4}  # prior standard deviation of an error
@@ -125,6 +125,7 @@ def posterior_as_json(posterior: Posterior) -> dict[str, Any]:
         "bench": list(posterior.bench),
         "mean": [float(f"{v:.12g}") for v in mean],
         "factor": factor_rows(posterior.covariance),
+        "data": list(fitted_to(posterior.drive.surface)),
     }
 
 

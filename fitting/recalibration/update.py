@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +18,7 @@ from fitting.estimation.result import inflation_of
 from fitting.model.bearings import pair_with, unknown_bearings
 from fitting.model.first_stage import with_play
 from fitting.model.observations import Linear, Observations, State
-from fitting.model.posterior import Posterior, lasting
+from fitting.model.posterior import Posterior, fitted_to, lasting
 from fitting.model.prior import posterior_about
 from fitting.model.unknowns import Unknowns
 from fitting.recalibration.measured import SIZES, linear_near
@@ -160,7 +161,7 @@ def _result(before: Posterior, estimate: Estimate, evaluations: int) -> Updated:
     expected = np.sqrt(np.maximum(np.diag(before.covariance - covariance), 0.0))
     told, square, count = _change(before.covariance, covariance, shift)
     return Updated(
-        posterior=_with_state(before, unknowns.state(vector), mean, covariance),
+        posterior=_with_state(before, unknowns.state(vector), mean, covariance, [c.checksum for c in observed.curves]),
         moved={
             name: (by, by / size if size > 0.0 else 0.0)
             for name, by, size in zip(before.names, shift.tolist(), expected.tolist(), strict=True)
@@ -208,8 +209,11 @@ def _change(before: Array, after: Array, shift: Array) -> tuple[Array, float, in
     return np.append(told, constants), float(ways**2 @ (1.0 / values[tested])), int(np.count_nonzero(tested))
 
 
-def _with_state(before: Posterior, state: State, mean: Array, covariance: Array) -> Posterior:
-    """Return the distribution about the drive of a state; its bearings and first stage are in the drive."""
+def _with_state(before: Posterior, state: State, mean: Array, covariance: Array, checksums: Sequence[str]) -> Posterior:
+    """Return the distribution about the drive of a state; its bearings and first stage are in the drive.
+
+    `checksums`: of the recordings that have led from `before` to it, "" for other measurements.
+    """
     pair, stage = pair_with(before.drive.pair, state.bearings, rounded=True), before.drive.first_stage
     if stage is not None:
         stage = with_play(stage, float(state.bearings[-1]))
@@ -219,6 +223,7 @@ def _with_state(before: Posterior, state: State, mean: Array, covariance: Array)
         origin="identified",
         covariance_of=(*before.errors, *before.scatter),
         covariance=changed.of_surface,
+        attributes={"data": " ".join(dict.fromkeys([*fitted_to(before.drive.surface), *filter(None, checksums)]))},
     )
     bench = changed.bench_mean.copy()
     bench[[before.bench.index(n) for n in unknown_bearings(pair, stage)]] = 0.0

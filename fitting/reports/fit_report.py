@@ -16,6 +16,7 @@ from cycloid_fmu.edge import ARCMIN, ARCSEC
 from cycloid_fmu.errors.kinds import kind_of
 from cycloid_fmu.surfaces.sampling import PitchErrors, Tolerances
 from fitting.estimation.effects import Effect, words_of
+from fitting.estimation.held_out import is_mispredicted
 from fitting.estimation.parameter import NORMAL, Parameter
 from fitting.estimation.realised import GAUGE, ORDERS_STATED, Realised
 from fitting.estimation.result import Identification
@@ -260,9 +261,11 @@ def quality_of(result: Identification) -> list[str]:
     ]
     if result.held_out is not None:
         prediction = result.held_out
+        predicts = "does not predict it" if is_mispredicted(prediction) else "predicts it"
+        noise = f"{prediction.noise * ARCSEC:.3f}″" if np.isfinite(prediction.noise) else "unknown, of too few points"
         sentences.append(
-            f"Held out from a first fit, which predicts it: {prediction.loads}: residual "
-            f"{prediction.residual * ARCSEC:.3f}″ rms, noise {prediction.noise * ARCSEC:.3f}″."
+            f"Held out from a first fit, which {predicts}: {prediction.loads}: residual "
+            f"{prediction.residual * ARCSEC:.3f}″ rms, noise {noise}."
         )
     else:
         sentences.append("No curve was held out for prediction, which requires three curves.")

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 FORMAT = "cycloid-curve/1"
+_WRITTEN = 1e-10  # rad: a table's digits change an angle by less, the noise of another recording by more
 
 
 @dataclass(frozen=True)
@@ -138,6 +139,20 @@ class Curve:
 def whole_turns(angle: ArrayLike, turn: float = 2.0 * np.pi) -> Array:
     """Return the whole turns nearest to an angle, rad: an encoder's angle does not tell how many it has passed."""
     return np.asarray(turn * np.round(np.asarray(angle, dtype=float) / turn))
+
+
+def refuse_repeated(curves: Sequence[Curve]) -> None:
+    """Refuse a curve that is given twice, also from an export: it would count twice, with too narrow intervals."""
+
+    def same(a: Array, b: Array) -> bool:
+        return a.size == b.size and bool(np.abs(a - b).max(initial=0.0) < _WRITTEN)
+
+    for number, curve in enumerate(curves):
+        for other in curves[:number]:
+            if same(curve.transmission_error, other.transmission_error) and same(curve.input_angle, other.input_angle):
+                raise edge.InputError(
+                    f"{curve.source}: its samples are those of {other.source} too; give them once, or they count twice."
+                )
 
 
 def noise_of(curve: Curve) -> float:

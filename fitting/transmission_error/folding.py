@@ -32,6 +32,7 @@ _EQUAL = 1e-9  # rad: samples of two turns are at one angle
 _SHARED = 1.1  # most distinct points, relative to those of one turn, of turns sampled at the same angles
 _FIRST = 1 << 20  # samples that determine the number of points
 _RAMP = np.pi / 648000.0  # rad: smaller drifts over a whole recording get no note
+_RAMP_TURNS = 1.5  # output turns: fewer hardly tell a drift from a wave
 _ROOM = 1 << 20  # most points if turns are kept separate
 _FAR = 1e12  # most turns between two samples
 LOCKED = float(np.radians(1.0))  # of the crank: largest motion of a locked input, from the windup of its fixture
@@ -529,12 +530,12 @@ def _ramp_note(fold: _Fold, source: str) -> list[str]:
     ratio, turns = abs(fold.ratio), fold.rotation / (2.0 * np.pi * abs(fold.ratio))
     ramp = fold.drift() * 2.0 * np.pi * ratio
     wave = 12.0 * fold.amplitude() / (2.0 * np.pi * turns**2)
-    if turns < 2.0 or abs(ramp) < 3.0 * wave or abs(ramp) * turns < _RAMP:
+    if turns < _RAMP_TURNS or abs(ramp) < 3.0 * wave or abs(ramp) * turns < _RAMP:
         return []
     return [
         f"{source}: the transmission error drifts by {abs(ramp) * edge.ARCSEC:.3g}″ per output turn, as if the output "
-        f"angle's clock ran {-fold.drift() * fold.ratio * 1e6:+.3g} ppm fast or the rig warmed up; the curve "
-        "contains the drift. State the drift of a clock in the mapping."
+        f"angle's clock ran {-fold.drift() * fold.ratio * 1e6:+.3g} ppm fast, its counts per turn were wrong or the "
+        "rig warmed up; the curve contains the drift. State the drift of a clock in the mapping."
     ]
 
 

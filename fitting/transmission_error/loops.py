@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 SIDES = (("positive", 1), ("negative", -1))
 _LOBE = 0.20  # a half loop exceeds this
 _REST = 0.025  # and begins and ends below this
+_FEWEST = 8  # samples of a branch below half the rated torque
+_AGAINST = -0.2  # correlation of windup and torque of a wrong direction; that of a loop is positive
 
 
 @dataclass(frozen=True)
@@ -183,6 +185,18 @@ def windup_of(recording: Recording, ratio: float | None) -> Array:
     return recording.output_angle - (0.0 if ratio is None else recording.input_angle / ratio)
 
 
+def _fault_of(windup: Array, torque: Array) -> str:
+    """Return why a windup is not that of a torque on a drive with a locked shaft, "" if it may be."""
+    if not np.ptp(windup) > 0.0:
+        return f"is constant while the torque changes by {float(np.ptp(torque)):.4g} N·m, so its encoder is stuck"
+    if float(np.corrcoef(windup, torque)[0, 1]) < _AGAINST:
+        return (
+            "falls while the torque grows, so the direction of one of them is wrong; state direction = -1 for it in "
+            "the mapping"
+        )
+    return ""
+
+
 def loops_of(
     recording: Recording, ratio: float | None, rated_torque: float | None
 ) -> tuple[LoopData | None, list[str]]:
@@ -218,22 +232,28 @@ def loops_of(
     if not largest > 0.0:  # none, or unknown
         return None, []
     rated = rated_torque or largest
-    lobes = find_lobes(torque, rated)
+    every = find_lobes(torque, rated)
     inside = [
         min(np.count_nonzero(np.abs(torque[part]) < 0.5 * rated) for part in (lobe.loading, lobe.unloading))
-        for lobe in lobes
+        for lobe in every
     ]
     # A load that is switched on or fluctuates around zero is no loop: each branch must have many samples.
-    lobes = [lobe for lobe, count in zip(lobes, inside, strict=True) if count >= 8]
+    lobes = [lobe for lobe, count in zip(every, inside, strict=True) if count >= _FEWEST]
     if not lobes or (not locked and len({lobe.sign for lobe in lobes}) < 2):
         if locked and not lobes:
-            notes.append(
-                f"{recording.source}: {at_rest}, and the torque does not exceed a fifth of the rated {rated:.4g} N·m "
-                "and return; there is no loop."
-            )
+            why = f"the torque does not exceed a fifth of the rated {rated:.4g} N·m and return"
+            if every:
+                why = (
+                    f"a branch has {max(inside)} samples below half of the rated {rated:.4g} N·m, at least {_FEWEST} "
+                    f"are needed (the torque reaches {largest:.4g} N·m)"
+                )
+            notes.append(f"{recording.source}: {at_rest}, and {why}; there is no loop.")
         return None, notes
     if ratio is None and not locked:
         return None, notes
+    windup = windup_of(recording, ratio)
+    if locked and (fault := _fault_of(windup, torque)):
+        return None, [*notes, f"{recording.source}: {at_rest}, and the angle {fault}; there is no loop."]
     if not recording.has_input_angle:
         notes.append(f"{recording.source}: {at_rest}; the output angle is taken as the windup.")
     if rated_torque is None:
@@ -241,7 +261,6 @@ def loops_of(
             f"{recording.source}: the rated torque is unknown; figures are evaluated at fractions of the largest "
             f"torque, {largest:.4g} N·m."
         )
-    windup = windup_of(recording, ratio)
     time, late, runaway = recording.time, None, 0.0
     if recording.torque_alignment > 0.0:
         late = np.interp(time + recording.torque_alignment, time, torque)

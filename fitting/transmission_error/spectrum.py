@@ -73,10 +73,15 @@ def significant(coefficient: NDArray[np.complex128], floor: Array, orders: int) 
     orders
         Number of orders of the whole spectrum.
     """
-    threshold = floor * np.sqrt(np.log(orders / 0.01))
-    above: NDArray[np.bool_] = np.abs(coefficient) > threshold
+    above: NDArray[np.bool_] = np.abs(coefficient) > detectable(floor, orders)
     above[..., 0] = False
     return above
+
+
+def detectable(floor: Array, orders: int) -> Array:
+    """Return the amplitude, rad, that an order exceeds if it is above the noise; the arguments are of `significant`."""
+    threshold: Array = floor * np.sqrt(np.log(orders / 0.01))
+    return threshold
 
 
 def spectrum(curve: Curve) -> Spectrum:

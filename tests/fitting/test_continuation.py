@@ -134,6 +134,34 @@ def test_files_without_a_posterior_are_read(curves, drive, before, tmp_path):
     assert np.median([two[n].standard_error / one[n].standard_error for n in one]) == pytest.approx(both, abs=0.1)
 
 
+def test_a_recording_counts_once(measured, drive, before, tmp_path):
+    """Given twice, or once more after the fit that is the prior, it would halve variances without new information."""
+    runs = measured(1)
+    with pytest.raises(InputError, match=r"-200 N·m: its samples are those of -200 N·m too; give them once"):
+        fitting.identify([*runs, runs[-1]], drive)
+    exported = np.array([float(f"{angle:.15g}") for angle in runs[0].transmission_error + 100.0]) - 100.0
+    with pytest.raises(InputError, match="give them once"):
+        fitting.identify([*runs, dataclasses.replace(runs[0], transmission_error=exported)], drive)
+    before.write(tmp_path / "fit.json")
+    before.drive.write(tmp_path / "surface.nc")
+    for prior in (before, before.drive, tmp_path / "fit.json"):
+        with pytest.raises(InputError, match="the earlier fit already used this recording"):
+            fitting.identify(runs[:1], drive, prior=prior)
+    with pytest.raises(InputError, match="the earlier fit already used this recording"):
+        recalibrate(before.drive, runs[:1], crank_turns=0.0)
+
+
+@pytest.mark.slow(2)
+def test_a_chain_of_fits_knows_all_its_recordings(measured, drive, before, after, curves, tmp_path):
+    after.write(tmp_path / "fit.json")
+    with pytest.raises(InputError, match="the earlier fit already used this recording"):
+        fitting.identify(measured(1)[:1], drive, prior=tmp_path / "fit.json")
+    visit = recalibrate(before.drive, curves, crank_turns=1e6)
+    for again in (curves, measured(1)):
+        with pytest.raises(InputError, match="the earlier fit already used this recording"):
+            recalibrate(visit, again, crank_turns=1e6)
+
+
 def test_what_is_no_prior_is_refused(measured, drive, before, made, tmp_path):
     other = Drive(made.replace(pin_radius=3.1e-3))
     with pytest.raises(InputError, match="fit of another drive"):

@@ -386,7 +386,9 @@ def test_what_bench_runs_lack_is_said(simple, nominal):
     with pytest.raises(edge.InputError, match="of another drive"):
         identify([dataclasses.replace(curves[0], ratio=-29.0)], Drive(nominal))
     with pytest.raises(edge.InputError, match="turns again"):
-        identify(curves, Drive(nominal), bootstrap=5)
+        identify(curves, Drive(nominal), bootstrap=50)
+    with pytest.raises(edge.InputError, match="bootstrap = 1: it must be 0, for none, or at least 20"):
+        identify(curves, Drive(nominal), bootstrap=1)  # whose scatter is zero, so that it widened nothing
     with pytest.raises(
         edge.InputError, match='profiled = "eccentric": it is not an error of this drive; did you mean eccentricity'
     ):

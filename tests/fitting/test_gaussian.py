@@ -24,6 +24,12 @@ def relative(found, expected):
     return np.abs((found - expected) / np.outer(size, size)).max()
 
 
+def test_a_start_that_leads_nowhere_is_singular():
+    """As of a model that has left its range: the search goes on from another start."""
+    with pytest.raises(np.linalg.LinAlgError, match="not finite"):
+        _ = Gaussian(np.array([[1.0, np.nan], [np.nan, 1.0]])).covariance
+
+
 def test_information_is_the_inverse_of_the_covariance(joint):
     mean, covariance, distribution = joint
     assert relative(distribution.covariance, covariance) < 1e-10

@@ -140,6 +140,7 @@ def test_curves_of_another_gear_are_not_explained(measured):
     found = identify(measured(8, each=12), Drive(other), held_out=False)
     assert found.verdict.state == "not explained"
     assert any("Is this the drive of the pair file" in n for n in found.notes)
+    assert any("Is the crank at pin 0" in n and 'zero_reference = "incremental"' in n for n in found.notes)
 
 
 @pytest.mark.slow(6)

@@ -17,10 +17,12 @@ from cycloid_fmu.surfaces.structured import structured_value, with_structured
 from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.estimation.identify import identify
 from fitting.estimation.result import as_json, read_lmfit_parameters
+from fitting.estimation.validation import HeldOut
 from fitting.model.identifiability import choose, posterior_covariance
 from fitting.model.observations import State, errors_of, linearise, observations, spread_of
 from fitting.model.prior import tolerances_of
 from fitting.readers.recording import RecordingStream
+from fitting.reports.fit_report import quality_of
 from fitting.transmission_error.curve import Curve
 
 ARCSEC = np.pi / 648000
@@ -39,6 +41,22 @@ def standardised(found, made):
 @pytest.fixture(scope="module")
 def found(measured, nominal):
     return identify(measured(1), Drive(nominal))
+
+
+def test_a_prediction_is_called_one_only_if_it_is_and_with_a_known_noise(found):
+    """Of too few points for a noise "206264.806″" was stated, which is 1 rad, and 14 times the noise "predicted"."""
+    assert "which predicts it" in quality_of(found)[1]
+    wrong = dataclasses.replace(found, held_out=HeldOut("+20 N·m", 14.0 * ARCSEC, 1.0 * ARCSEC))
+    assert "which does not predict it: +20 N·m: residual 14.000″ rms, noise 1.000″." in quality_of(wrong)[1]
+    few = dataclasses.replace(found, held_out=HeldOut("+20 N·m", 14.0 * ARCSEC, np.nan))
+    assert quality_of(few)[1].endswith("noise unknown, of too few points.")
+
+
+def test_a_torque_in_another_unit_is_refused(measured, nominal):
+    """N·mm for N·m: the fit ended in the solver's "array must not contain infs or NaNs"."""
+    wrong = [dataclasses.replace(one, torque=1000.0 * one.torque) for one in measured(1)]
+    with pytest.raises(edge.InputError, match=r"20000 N·m, 110 times the rated torque of the pair, 181 N·m"):
+        identify(wrong, Drive(nominal))
 
 
 def test_known_errors_are_found_within_what_is_claimed(found, made):

@@ -244,8 +244,8 @@ def test_the_command_takes_a_file_of_parameters(command, tmp_path):
     assert "Traceback" not in run.stderr
 
 
-def dumped(expression):
-    return json.dumps({"params": [["a", 1.0, True, expression, None, None, None, None, None, 1.0, None]]})
+def dumped(expression, low=None, high=None):
+    return json.dumps({"params": [["a", 1.0, True, expression, low, high, None, None, None, 1.0, None]]})
 
 
 @pytest.mark.parametrize(
@@ -256,6 +256,9 @@ def dumped(expression):
         (dumped("__import__('os')"), "arithmetic"),
         (dumped("b if c else d"), "arithmetic"),
         (dumped("1 +"), "arithmetic"),
+        (dumped("2 * b"), "the expression of a names b, which is no parameter of it"),
+        (dumped(None, -0.5, 0.5), "a = 1 is outside its bounds, -0.5 to 0.5"),
+        (dumped(None, 1.5), "a = 1 is outside its bounds, 1.5 to inf"),
     ],
 )
 def test_files_that_are_no_parameters_or_run_anything_are_refused(text, said, tmp_path):

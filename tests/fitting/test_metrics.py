@@ -1,5 +1,6 @@
 import dataclasses
 import json
+import re
 
 import numpy as np
 import pytest
@@ -481,6 +482,31 @@ def test_a_curve_of_noise_alone_has_no_range():
     assert 0.0 <= figure.uncertainty < ARCSEC
 
 
+def test_an_order_that_noise_hides_is_within_the_uncertainty_of_a_range():
+    """Of 60″ under a noise of 600″, as of a loose coupling: "0 ± 0" would be sure of a wrong value."""
+    hidden, noise = 60.0 * ARCSEC, 600.0 * ARCSEC
+    curve = fitting.curves(run_with({39: (hidden, 0.0)}, turns=2, each=1000, noise=noise, seed=2), -39.0)[0]
+    orders = spectrum(curve)
+    assert not orders.significant.any()
+    figure = angular_transmission_error(curve, orders)
+    assert abs(figure.value - 2.0 * hidden) < figure.uncertainty < noise
+
+
+@pytest.mark.parametrize(("each", "noise"), [(1500, 0.5), (3744, 0.5), (1500, 3.0)])
+def test_the_range_of_a_curve_with_corners_is_within_its_uncertainty(each, noise):
+    """Corners, where pins come into contact: their orders fall with the square, and noise or few samples hide most."""
+    corners, seeds, inside = 20.0 * ARCSEC, 12, 0
+    for seed in range(seeds):
+        rng = np.random.default_rng(seed)
+        angle = np.arange(2 * each) * 2 * np.pi / each * 39 + rng.uniform(0, 6)
+        error = corners * np.abs(np.sin(0.5 * angle)) + rng.normal(0.0, noise * ARCSEC, angle.size)
+        made = recording(np.arange(angle.size) / 4000.0, angle, -angle / 39 + error, 100.0, -39.0)
+        figures = figures_of([survey(made, -39.0, None)], -39.0, None).figures
+        for name in ("angular_transmission_error", "angular_transmission_error_without_rig"):
+            inside += abs(figures[name].value - corners) <= figures[name].uncertainty
+    assert inside >= 0.9 * 2 * seeds  # without what the orders above the noise lack, none to two of 24
+
+
 @pytest.mark.parametrize("phase", [0.0, np.pi / 4, np.pi / 2])
 def test_a_range_is_as_uncertain_as_twice_its_only_order(phase):
     """Noise of root mean square f in a complex amplitude c moves |c| by f/√2, whatever its phase."""
@@ -554,6 +580,36 @@ def test_a_few_points_that_were_never_recorded_leave_the_orders_as_they_are():
         # Within a point the angle's series ends with its square.
         left_out = (k * np.pi / 8910) ** 4 / 24
         assert orders.coefficient[k] == pytest.approx(a * np.exp(-1j * p), abs=(1e-3 + left_out) * a), k
+
+
+def test_a_soft_drive_on_a_locked_input_has_all_its_loops():
+    """A printed drive of 13 to 1 that gives way by 5° at its rated torque: "stuck" were 99 % of its samples."""
+    torque, angle = loop(25.0, 0.087 / ARCMIN, 12 * ARCMIN, 1.0, loops=2)
+    for creep in (0.0, np.radians(0.3)):  # of the input in its lock
+        crank = creep * torque / 25.0
+        made = recording(np.arange(torque.size) * 1e-2, crank, angle + crank / 13.0, torque, 13.0)
+        surveyed = survey(made, 13.0, 25.0)
+        assert surveyed.implausible == 0
+        figures = figures_of([surveyed], 13.0, 25.0).figures
+        assert figures["torsional_stiffness"].value == pytest.approx(0.087 / ARCMIN, rel=1e-3)
+        assert figures["backlash"].value == pytest.approx(12 * ARCMIN, rel=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda torque, angle: (-torque, angle), "the angle falls while the torque grows, so the direction of"),
+        (lambda torque, angle: (torque, 0.0 * angle + 0.1), "constant while the torque changes by 33.* its encoder"),
+        (lambda torque, angle: (1000.0 * torque, angle), r"at least 8 are needed \(the torque reaches 1.67e\+05 N·m\)"),
+        (lambda torque, angle: (torque[::150], angle[::150]), "samples below half of the rated 167 N·m, at least 8"),
+    ],
+    ids=["torque of the other sign", "dead output encoder", "N·mm", "few samples"],
+)
+def test_a_loop_that_cannot_be_one_has_its_cause_and_no_figures(change, said):
+    """The other sign gave a hysteresis loss of -35′ and a backlash of -12′, a dead encoder 0 ± 0, without a word."""
+    found = figures_from(*change(*loop(167.0, 49 / ARCMIN, 0.6 * ARCMIN, 2.0)))
+    assert not found.figures
+    assert any(re.search(said, note) for note in found.notes), found.notes
 
 
 def test_a_locked_input_without_a_loop_is_said_and_no_other():

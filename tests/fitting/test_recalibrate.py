@@ -301,7 +301,8 @@ def test_its_file_goes_on_where_it_ended(case, result, tmp_path):
     write_recalibration(result, tmp_path / "r.json")
     again = read_recalibration(tmp_path / "r.json", result.drive)
     assert json.loads(json.dumps(as_json(again), default=list)) == json.loads(json.dumps(as_json(result), default=list))
-    one, two = (recalibrate(last, runs[:1], crank_turns=1e6, bits=BITS) for last in (result, again))
+    later = dataclasses.replace(runs[0], output_angle=np.asarray(runs[0].output_angle) + 0.1 * ARCSEC)
+    one, two = (recalibrate(last, later, crank_turns=1e6, bits=BITS) for last in (result, again))
     assert np.array_equal(one.posterior.covariance, two.posterior.covariance)
     assert one.drive == two.drive
     with pytest.raises(InputError, match="belongs to the drive"):
