@@ -262,11 +262,11 @@ def quality_of(result: Identification) -> list[str]:
     if result.held_out is not None:
         prediction = result.held_out
         predicts = "does not predict it" if is_mispredicted(prediction) else "predicts it"
-        residual, noise = (f"{value * ARCSEC:.3f}″" for value in (prediction.residual, prediction.noise))
+        left, blur = (f"{value * ARCSEC:.3f}″" for value in (prediction.residual, prediction.noise))
         sentences.append(
-            f"Held out from a first fit, which {predicts}: {prediction.loads}: residual {residual} rms, noise {noise}."
+            f"Held out from a first fit, which {predicts}: {prediction.loads}: residual {left} rms, noise {blur}."
             if np.isfinite(prediction.noise)
-            else f"Held out from a first fit: {prediction.loads}: residual {residual} rms; whether the fit predicts it is "
+            else f"Held out from a first fit: {prediction.loads}: residual {left} rms; whether the fit predicts it is "
             "not judged, because its points are too few to know their noise."
         )
     else:
