@@ -262,12 +262,13 @@ def quality_of(result: Identification) -> list[str]:
     if result.held_out is not None:
         prediction = result.held_out
         predicts = "does not predict it" if is_mispredicted(prediction) else "predicts it"
-        left, blur = (f"{value * ARCSEC:.3f}″" for value in (prediction.residual, prediction.noise))
+        misfit = f"residual {prediction.residual * ARCSEC:.3f}″ rms"
         sentences.append(
-            f"Held out from a first fit, which {predicts}: {prediction.loads}: residual {left} rms, noise {blur}."
+            f"Held out from a first fit, which {predicts}: {prediction.loads}: {misfit}, "
+            f"noise {prediction.noise * ARCSEC:.3f}″."
             if np.isfinite(prediction.noise)
-            else f"Held out from a first fit: {prediction.loads}: residual {left} rms; whether the fit predicts it is "
-            "not judged, because its points are too few to know their noise."
+            else f"Held out from a first fit: {prediction.loads}: {misfit}; whether the fit predicts it is not judged, "
+            "because its points are too few to know their noise."
         )
     else:
         sentences.append("No curve was held out for prediction, which requires three curves.")
