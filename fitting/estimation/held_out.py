@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu.geometry.pair import Pair
-from fitting.estimation.explanation import Explained, Explanation, Hypothesis, observed_with
-from fitting.estimation.fit import OUTLYING, Estimate
+from fitting.estimation.explanation import GAIN, Explained, observed_with
+from fitting.estimation.fit import OUTLYING, Estimate, fit
 from fitting.estimation.starts import Multistart, is_uneven
 from fitting.estimation.validation import HeldOut, by_load, yardsticks
-from fitting.model.observations import CREEP, errors_of, left_of, linearise, observations
+from fitting.model.identifiability import chosen_of
+from fitting.model.observations import CREEP, NO_CREEP, Observations, errors_of, left_of, linearise, observations
 from fitting.model.prior import Prior
 from fitting.transmission_error.curve import Curve
 
@@ -60,40 +61,47 @@ class Prediction:
         self.progress("fitting without the held-out curves")
         observed = observed_with(self._others, self.pair, self._prior(prior))
         start = Multistart(self.pair, observed, None, self.progress).estimate()
-        predicted = self._of(start)
+        curves = [self.running[i] for i in self.numbers]
+        predicted = self._of(start, observations(curves, self.pair, first_stage=prior.first_stage))
         is_good = predicted.residual <= _MISPREDICTED * start.noise and not is_uneven(start)
         return start if is_good else None, predicted
 
     def again(self, explained: Explained) -> HeldOut:
-        """Fit the others from the end of the fit of all curves, and predict."""
+        """Fit the others from the end of the fit of all curves, with its causes, and predict."""
         self.progress("fitting without the held-out curves, from there")
-        prior = self._prior(explained.hypothesis.prior)
-        search = Explanation(self._others, self.pair, prior, self.progress)
-        return self._of(search.fitted(Hypothesis(prior, start=explained.estimate)))
+        end, known = explained.estimate, explained.hypothesis.prior.scatter
+        others = [i for i in range(len(end.observed.curves)) if i not in self.numbers]
+        observed = end.observed.some(others)
+        resolved = chosen_of(self.pair, observed, linearise(self.pair, observed, end.state))
+        chosen = [name for name in end.chosen if name in resolved]
+        fitted = fit(self.pair, observed, chosen, end.state, end.scatter, gain=GAIN, known=known)
+        return self._of(fitted, end.observed.some(self.numbers))
 
-    def _of(self, fit: Estimate) -> HeldOut:
-        """Residuals of the curves that were not fitted; their own zeros and drifts cannot be predicted."""
-        curves = [self.running[i] for i in self.numbers]
-        observed = observations(curves, self.pair, first_stage=fit.observed.first_stage)
-        known = dict(zip(fit.observed.bench_names, fit.state.bench, strict=True))
-        names = observed.bench_names
-        own = np.array(
-            [
-                n.startswith("output_angle_drift") or not (n in known or n.startswith(CREEP))
-                for n in observed.bench_names
-            ]
-        )
-        if not all(c.common_zero for c in (*curves, *fit.observed.curves)):
+    def _of(self, estimate: Estimate, observed: Observations) -> HeldOut:
+        """Residuals of observations that were not fitted.
+
+        Their own zeros and drifts cannot be predicted, the change of a common zero only to its size.
+        """
+        curves, names = observed.curves, observed.bench_names
+        values = dict(zip(estimate.observed.bench_names, estimate.state.bench, strict=True))
+        shown = np.flatnonzero(estimate.observed.bench.any(axis=0))
+        known = {name: values[name] for name in np.array(estimate.observed.bench_names)[shown].tolist()}
+        creeps = np.array([n.startswith(CREEP) for n in names])
+        own = creeps | np.array([n.startswith("output_angle_drift") or n not in known for n in names])
+        if not all(c.common_zero for c in (*curves, *estimate.observed.curves)):
             own |= np.array([n.startswith("output_angle_offset") for n in names])
-        predictable = ~own & ~np.array([n.startswith(CREEP) for n in names])
-        bench = np.array([known[n] if shared else 0.0 for n, shared in zip(names, predictable, strict=True)])
-        state = dataclasses.replace(fit.state, bench=bench)
+        bench = np.array([0.0 if apart else known[n] for n, apart in zip(names, own, strict=True)])
+        state = dataclasses.replace(estimate.state, bench=bench)
         left = left_of(observed, linearise(self.pair, observed, state), state)
         # What single samples far off do to the rms is not the model's.
         scale = 1.4826 * float(np.median(np.abs(left - np.median(left))))
         inside = np.abs(left - np.median(left)) < OUTLYING * scale
         columns = observed.bench[inside][:, own]
-        left = left[inside] - columns @ np.linalg.lstsq(columns, left[inside], rcond=None)[0]
+        # A row for the size of each creep, in units of the noise.
+        rows = estimate.noise / max(estimate.scatter.get(CREEP, 0.0), NO_CREEP) * np.eye(own.sum())[creeps[own]]
+        of_creeps = np.zeros(len(rows))
+        solved = np.linalg.lstsq(np.vstack([columns, rows]), np.append(left[inside], of_creeps), rcond=None)[0]
+        left = left[inside] - columns @ solved
         loads = ", ".join(f"{c.torque:+.4g} N·m" for c in curves)
         counted = np.zeros(inside.size)
         counted[inside] = left

@@ -263,8 +263,8 @@ def _explained(prediction: Prediction, prior: Prior, form: float) -> tuple[Expla
     start, predicted = prediction.start(prior) if prediction.numbers else (None, None)
     curves = [*prediction.running, *prediction.loops]
     explained = Explanation(curves, prediction.pair, prior, prediction.progress, form, start).explain()
-    if predicted is not None and explained.verdict.state == "explained" and is_mispredicted(predicted):
-        # The first fit may have ended beside its best optimum, which the whole one has found.
+    if predicted is not None and explained.verdict.state != "not explained" and is_mispredicted(predicted):
+        # The first fit had no causes, and may have ended beside its best optimum, which the whole one has found.
         predicted = prediction.again(explained)
         if is_mispredicted(predicted):
             explained = dataclasses.replace(explained, verdict=mispredicted(explained.verdict, predicted))

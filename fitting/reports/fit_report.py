@@ -264,11 +264,11 @@ def quality_of(result: Identification) -> list[str]:
         predicts = "does not predict it" if is_mispredicted(prediction) else "predicts it"
         misfit = f"residual {prediction.residual * ARCSEC:.3f}″ rms"
         sentences.append(
-            f"Held out from a first fit, which {predicts}: {prediction.loads}: {misfit}, "
+            f"Held out from a fit of the others, which {predicts}: {prediction.loads}: {misfit}, "
             f"noise {prediction.noise * ARCSEC:.3f}″."
             if np.isfinite(prediction.noise)
-            else f"Held out from a first fit: {prediction.loads}: {misfit}; whether the fit predicts it is not judged, "
-            "because its points are too few to know their noise."
+            else f"Held out from a fit of the others: {prediction.loads}: {misfit}; whether it is predicted is not "
+            "judged, because its points are too few to know their noise."
         )
     else:
         sentences.append("No curve was held out for prediction, which requires three curves.")

@@ -49,7 +49,7 @@ def test_a_prediction_is_called_one_only_if_it_is_and_with_a_known_noise(found):
     wrong = dataclasses.replace(found, held_out=HeldOut("+20 N·m", 14.0 * ARCSEC, 1.0 * ARCSEC))
     assert "which does not predict it: +20 N·m: residual 14.000″ rms, noise 1.000″." in quality_of(wrong)[1]
     few = dataclasses.replace(found, held_out=HeldOut("+20 N·m", 14.0 * ARCSEC, np.nan))
-    assert "predicts it is not judged" in quality_of(few)[1]
+    assert "whether it is predicted is not judged" in quality_of(few)[1]
 
 
 def test_a_torque_in_another_unit_is_refused(measured, nominal):
