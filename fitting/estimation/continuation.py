@@ -51,7 +51,7 @@ Array = NDArray[np.float64]
 
 
 def check_comparable(curve: Curve, drive: Drive) -> None:
-    """Refuse a curve of another drive, or one whose crank angle is not that of the known errors."""
+    """Refuse a curve of another drive, one to which it was fitted, or one with another crank angle than its errors."""
     if abs(curve.ratio / drive.pair.ratio - 1.0) > 1e-9:
         raise edge.InputError(
             f"{curve.source}: its ratio is {curve.ratio:g}, the pair's {drive.pair.ratio:g}; it is of another drive."
@@ -62,10 +62,6 @@ def check_comparable(curve: Curve, drive: Drive) -> None:
             "compared with the known ones; for a motor encoder that keeps its zero, state zero_reference = "
             '"absolute" of [input_angle] in the mapping, or known_index of a Run.'
         )
-
-
-def check_new(curve: Curve, drive: Drive) -> None:
-    """Refuse a curve that a fitted drive was already fitted to: it would count twice."""
     if curve.checksum in fitted_to(drive.surface):
         raise edge.InputError(
             f"{curve.source}: the earlier fit already used this recording (SHA-256 {curve.checksum[:8]}…); it would "
@@ -102,7 +98,6 @@ def continued(
     pair = earlier.drive.pair
     for curve in curves:
         check_comparable(curve, earlier.drive)
-        check_new(curve, earlier.drive)
     orders = [n for n in earlier.errors if profile_wave(n, 1) is not None]
     profile = dict(zip(orders, tolerances_of(orders).tolist(), strict=True))
     observed = observations(curves, pair, profile=profile, first_stage=earlier.drive.first_stage, earlier=earlier)

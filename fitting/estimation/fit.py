@@ -339,11 +339,10 @@ class _Descent:
                     self.unknowns, vector, self.observed, self.limit, self.around, near=self.normal.linears
                 )
             except edge.InputError:
-                # So far away no contacts balance the load.
-                damping = max(_DAMPING_STEP * damping, _DAMPED)
-                continue
-            if (then.outlying > then.count).any():
-                # The step has left a curve: its noise would follow from the few points that are no outliers.
+                then = None
+            if then is None or (then.outlying > then.count).any():
+                # So far away no contacts balance the load, or a curve is left: its noise would follow from the few
+                # points that are no outliers.
                 damping = max(_DAMPING_STEP * damping, _DAMPED)
                 continue
             gained = misfit - self._misfit(then, precision, vector)

@@ -83,9 +83,8 @@ class Prediction:
         Their own zeros and drifts cannot be predicted, the change of a common zero only to its size.
         """
         curves, names = observed.curves, observed.bench_names
-        values = dict(zip(estimate.observed.bench_names, estimate.state.bench, strict=True))
-        shown = np.flatnonzero(estimate.observed.bench.any(axis=0))
-        known = {name: values[name] for name in np.array(estimate.observed.bench_names)[shown].tolist()}
+        fitted = zip(estimate.observed.bench_names, estimate.state.bench, estimate.observed.bench.T, strict=True)
+        known = {name: value for name, value, column in fitted if column.any()}
         creeps = np.array([n.startswith(CREEP) for n in names])
         own = creeps | np.array([n.startswith("output_angle_drift") or n not in known for n in names])
         if not all(c.common_zero for c in (*curves, *estimate.observed.curves)):
@@ -99,9 +98,8 @@ class Prediction:
         columns = observed.bench[inside][:, own]
         # A row for the size of each creep, in units of the noise.
         rows = estimate.noise / max(estimate.scatter.get(CREEP, 0.0), NO_CREEP) * np.eye(own.sum())[creeps[own]]
-        of_creeps = np.zeros(len(rows))
-        solved = np.linalg.lstsq(np.vstack([columns, rows]), np.append(left[inside], of_creeps), rcond=None)[0]
-        left = left[inside] - columns @ solved
+        targets = np.append(left[inside], np.zeros(len(rows)))
+        left = left[inside] - columns @ np.linalg.lstsq(np.vstack([columns, rows]), targets, rcond=None)[0]
         loads = ", ".join(f"{c.torque:+.4g} N·m" for c in curves)
         counted = np.zeros(inside.size)
         counted[inside] = left

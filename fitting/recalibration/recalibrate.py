@@ -15,7 +15,7 @@ from cycloid_fmu.drive import Drive
 from cycloid_fmu.edge import ARCSEC
 from cycloid_fmu.surfaces.structured import unit_of
 from fitting.arguments import positive
-from fitting.estimation.continuation import check_comparable, check_new
+from fitting.estimation.continuation import check_comparable
 from fitting.model.bearings import unit_of_bearing, unknown_bearings
 from fitting.model.gaussian import equations
 from fitting.model.loops import observed_curves
@@ -161,7 +161,6 @@ def recalibrate(
         curves = observed_curves(recordings, drive)
         for curve in curves:
             check_comparable(curve, drive)
-            check_new(curve, drive)
         known = drifted(known, turns, walked)
         found = updated(observed_in_place(curves, lost_motions, known, bits=bits, torque_share=share))
         chance, sentences = contradictions(found, lost_motions)
